@@ -17,6 +17,7 @@ by loads alone less action must be as likely better as not.
 """
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
@@ -73,7 +74,7 @@ class BookSettings:
     )
     borne_out: float = setting(
         2 / 3,
-        "Odds of being better that less action needs, and of room that more does",
+        "Odds of being better that less action needs, and of a good Ms that more does",
         0.5,
         0.9,
         source="60 changes, seeds 9331 to 9361; 14 loops, seed 9831",
@@ -96,7 +97,7 @@ Kind = tuple[tuple[float, ...], tuple[float, ...], float, float]
 MORE_OF_ALL: Kind = (MORE, SHORTER, 1.0, AT_ONCE)
 LESS_OF_ALL: Kind = (LESS, (*LONGER, *SHORTER[1:]), 0.0, 1.0)
 MORE_GAIN: Kind = (MORE[1:], LONGER[1:], 0.0, 1.0)
-MORE_INTEGRAL: Kind = (LESS, (*SHORTER[1:], *SHORTEST), 1.0, AT_ONCE)
+MORE_INTEGRAL: Kind = (LESS[:4], (*SHORTER[1:], *SHORTEST), 1.0, AT_ONCE)  # in one step: halfway Ms may be as bad
 """A loop may have too much of gain or integral action for the other: the integral time falls with the gain, too."""
 
 
@@ -141,15 +142,15 @@ class ByBook:
         return f"from all samples, Ms {n.book_ms:.2f} ({n.book_ms_low:.2f} {most}); {odds}{tone}"
 
 
+Spread = dict[Plausible, float]  # processes and how often each was drawn, as a share
 MS_SHOWN = 20.0  # a larger Ms, and an unstable loop, is told as this
 
 
 def by_book(book: Book, gains: PidGains, settings: BookSettings) -> ByBook:
     """What the book says of the gains in force, and the settings that are worth most over it.
 
-    By loads alone less action is the best or none, and more needs as much to be sure of room as of worth, as it does
-    under a tone. Once the setpoint has moved the loop, more gain with a longer integral time may be better as well; and
-    where Ms is too high, less gain with a shorter one.
+    By loads alone less action is the best or none, and more needs room for much more (`room`). Once the setpoint has
+    moved the loop, more gain with a longer integral time may be better, or less with a shorter one if Ms is too high.
     """
     drawn, told = book.drawn(settings.drawn), book.told_by_setpoint
     ms, (high, room) = drawn.peaks(gains), shares(drawn, gains, settings)
@@ -157,8 +158,7 @@ def by_book(book: Book, gains: PidGains, settings: BookSettings) -> ByBook:
     numbers = BookNumbers(high, room, middle, low, most, float(book.records), book.tone)
     by_orders, tried = _by_orders(book, settings), list[PidGains]()
     integral_times = [_integral_times(book, one) for one in (drawn, *by_orders)]
-    needed = settings.borne_out if told and book.tone < settings.tone else settings.more_odds
-    if max(room, high) >= needed:  # also where Ms is too high, if more action makes it less
+    if told or max(room, high) >= settings.more_odds:  # also where Ms is too high, if more action makes it less
         tried += _sets(gains, MORE_OF_ALL, integral_times, settings)
     if told:
         for kind in (MORE_GAIN, MORE_INTEGRAL) if high >= settings.less_odds else (MORE_GAIN,):
@@ -178,9 +178,10 @@ def by_book(book: Book, gains: PidGains, settings: BookSettings) -> ByBook:
     if leans < 0 and not told and any(gain(one, gains, best[1], settings)[1] < HALF for one in by_orders):
         return said
     worth, new, peaks = best
-    asked = ~drawn.runs_away & ((ms <= settings.ms_bad) | (leans < 0))
-    tuning, models = Tuning("simc", "series", new), _proved_on(book, drawn, np.where(asked, peaks, np.nan), settings)
-    return replace(said, numbers=replace(numbers, book_worth=worth), tuning=tuning, models=models)
+    asked = ~drawn.runs_away & ((ms <= settings.ms_bad) | (peaks < ms) | (leans < 0))
+    models = tuple(_proved_on(book, drawn, np.where(asked, peaks, np.nan), settings))
+    numbers, tuning = replace(numbers, book_worth=worth), Tuning("simc", "series", new)
+    return replace(said, numbers=numbers, tuning=tuning, models=models)
 
 
 def shares(drawn: LikelyProcesses, gains: PidGains, settings: BookSettings) -> tuple[float, float]:
@@ -287,7 +288,8 @@ def _best(
     (now, before), found = expected_cost(drawn, gains, settings.cost), []
     for new in candidates:
         cost, peaks = expected_cost(drawn, new, settings.cost)
-        if more and not _harmless(drawn, before, peaks, settings):
+        good = float(drawn.weights @ (peaks <= settings.ms_good)) >= settings.borne_out
+        if more and not (good and _harmless(drawn, before, peaks, settings)):
             continue
         if not more and lets_go(drawn, gains, new, settings):
             continue
@@ -304,7 +306,7 @@ def _by_orders(book: Book, settings: BookSettings) -> tuple[LikelyProcesses, ...
     return () if told else tuple(book.drawn(settings.drawn, at) for at in ORDERS)
 
 
-def _proved_on(book: Book, drawn: LikelyProcesses, peaks: FloatArray, settings: BookSettings) -> tuple[Plausible, ...]:
+def _proved_on(book: Book, drawn: LikelyProcesses, peaks: FloatArray, settings: BookSettings) -> Spread:
     """Processes spread over the odds by their Ms with the new gains, without the worst that may come out badly.
 
     peaks : that Ms, not a number for no answer: of those that run away the guard has no model, `lets_go` has asked; and
@@ -314,16 +316,16 @@ def _proved_on(book: Book, drawn: LikelyProcesses, peaks: FloatArray, settings: 
     order = order[~np.isnan(peaks[order])]
     whole = np.cumsum(drawn.weights[order])
     if not len(whole):
-        return ()
+        return {}
     at = whole[-1] * (1.0 - settings.bad_share) * (np.arange(PROVED_ON) + 0.5) / PROVED_ON
     at = np.searchsorted(whole, np.array([0.5 * whole[-1], *at]))
-    chosen = [int(order[min(int(i), len(order) - 1)]) for i in at]
-    return tuple(Plausible(_model(book, drawn, i), 0.0) for i in dict.fromkeys(chosen))
+    chosen = Counter(int(order[min(int(i), len(order) - 1)]) for i in at)
+    return {Plausible(_model(book, drawn, i), 0.0): times / len(at) for i, times in chosen.items()}
 
 
-def spread(book: Book, gains: PidGains, settings: BookSettings) -> tuple[tuple[Plausible, ...], FloatArray, FloatArray]:
-    """Processes that stand for the book, spread over its odds by Ms with these gains, but for the share that may come
-    out badly; and Ms and weight of all that were drawn. Of those that run away by themselves there is no model.
+def spread(book: Book, gains: PidGains, settings: BookSettings) -> tuple[Spread, FloatArray, FloatArray]:
+    """Processes that stand for the book with their weights, spread over its odds by Ms with these gains, but for the
+    share that may come out badly; and Ms and weight of all that were drawn. Of those that run away there is no model.
     """
     drawn = book.drawn(settings.drawn)
     ms = drawn.peaks(gains)

@@ -6,7 +6,7 @@ approved is what was looked at. Where nothing is known of the region (the propos
 the limits per change hold it, but not on the way to less of everything: a proposal that calms may be as large as its
 loop is unstable. Then it is on trial as any change.
 The way back leads to a set that has run before, so the limits per change do not hold it; the absolute ones do, and a
-set that is unstable on more of the allowed models than the active one is refused (trial/rollback.py). While a change is
+set that is likelier to be unstable than the active one is refused (trial/rollback.py). While a change is
 on trial the way back is its rollback.
 """
 

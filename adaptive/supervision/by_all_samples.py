@@ -386,7 +386,7 @@ def _proved_by_all_samples(found: Findings, own: Outcome, seen: AllSamples) -> O
         return None
     record, settings, region = found.record, found.settings, found.record.region
     less = told.leans < 0
-    if valve_explains_more(look.window, book, MOST_VALVE if less else 0.0):
+    if valve_explains_more(look.window, book, MOST_VALVE if told.numbers.book_high >= settings.book.less_odds else 0.0):
         return None
     also = () if less else _by_responses(found, seen, told.numbers.book_room)
     if also is None:
@@ -437,4 +437,4 @@ def _cause_of(
 
 
 MOST_VALVE, MOST_SURE = 1.5, 0.97
-"""Tempered logarithm of the odds of a valve from which not even less action follows; no cause is told surer."""
+"""Tempered logarithm of the odds of a valve from which not even a lower Ms is sought; no cause is told surer."""

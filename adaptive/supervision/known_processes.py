@@ -125,7 +125,7 @@ def _beside_all_samples(known: KnownProcesses, region: int, book: Book) -> Still
         there = sensitivity_peak(model, gains, settings.filter_s)
         tail = min(float(odds @ (ms >= there)), float(odds @ (ms <= there)))
         witness.append(weight / sum(likely) * max(min(2.0 * tail, 1.0), ODD))
-    weights = (*(1.0 / len(by_book) for _ in by_book), *witness)
+    weights = (*processes.values(), *witness)
     return StillAllowed((*by_book, *models), settings.filter_s, weights=weights, by_loads=True)
 
 

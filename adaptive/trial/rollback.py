@@ -20,12 +20,13 @@ expected to lose less by more than the price of a change.
 
 Whatever evidence leads back, `less_stable` is asked: no set comes back that is expected to lose more than the one that
 runs on the models that are still allowed, before that evidence weighs them. Where a person orders it, only a set that
-is unstable on more models stays out. Evidence may be a tone, a load or a wrong model; an unstable loop is none. Where
+is likelier to be unstable stays out. Evidence may be a tone, a load or a wrong model; an unstable loop is none. Where
 no model is left, the ones on which the tried set was proved keep the door: what they called unstable stays out.
 """
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from operator import mul
 from typing import NamedTuple
 
 from retuner.adaptive.decision_numbers import Numbers
@@ -200,15 +201,14 @@ def less_stable(to: PidGains, present: PidGains, known: StillAllowed, harmless_m
 def unstable_again(ran: SetsThatRan, known: StillAllowed) -> str:
     """Why not even a person's order leads back to the set before; empty where it does.
 
-    A larger Ms is his to choose, a loop that is unstable on more models is not: he may set such gains by hand.
+    A larger Ms is his to choose, a loop that is likelier to be unstable is not: he may set such gains by hand.
     """
     if ran.tried is None:
         return ""
-    there, here = Robustness.of(known.ms(ran.before)), Robustness.of(known.ms(ran.tried))
-    if known.processes and there.unstable > here.unstable:
-        models = len(known.processes) + len(known.between)
-        on = "every plausible model" if there.unstable == models else f"{there.unstable} of {models} plausible models"
-        return f"the previous gains would be unstable on {on}"
+    unstable = (map(math.isinf, known.ms(gains)) for gains in (ran.before, ran.tried))
+    there, here = (sum(map(mul, known.likely(), one)) for one in unstable)
+    if there > here + PRICE:
+        return f"the previous gains would be unstable with {there:.0%} probability"
     if not known.processes and ran.lost:
         return LOST_WORDS
     return ""

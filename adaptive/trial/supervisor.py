@@ -286,7 +286,7 @@ class TrialSupervisor:
         if trial.phase != P.TRIAL:
             return found
         self._trials[region] = replace(trial, silent=trial.silent + 1)
-        known = NOTHING_KNOWN if robust else None
+        known = NOTHING_KNOWN._replace(by_loads=True) if robust else None
         few = trial.silent + 1 < self.settings.inconclusive and not enough
         if few or not self._stay_or_roll_back(region, E.TIMED_OUT, t_s, known):
             return found
