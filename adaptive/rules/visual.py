@@ -28,13 +28,6 @@ class VisualAdvice(StrEnum):
     REMOVE_INTEGRAL_ACTION = "take out integral action as far as possible"
 
 
-class OscillationCause(StrEnum):
-    """Where an oscillation comes from."""
-
-    TUNING = "the tuning"
-    OUTSIDE = "something outside the loop"
-
-
 def oscillating_loop(period_s: float, tau_i_s: float | None, *, integrating: bool = False) -> VisualAdvice | None:
     """First step for a loop that oscillates with this period, None where the rule has none.
 
@@ -54,33 +47,6 @@ def oscillating_loop(period_s: float, tau_i_s: float | None, *, integrating: boo
     return VisualAdvice.LOWER_GAIN if tau_i_s > PERIOD * period_s else None
 
 
-def cause_by_manual(*, stops_in_manual: bool) -> OscillationCause:
-    """The oscillation's origin by the test of putting the loop in manual."""
-    return OscillationCause.TUNING if stops_in_manual else OscillationCause.OUTSIDE
-
-
-def longest_poll_s(time_constant_s: float) -> float:
-    """Longest time between samples for a process with this time constant.
-
-    Raises ValueError: the time constant is not positive and finite.
-    """
-    return _share(time_constant_s, 1 / POLLS_PER_TIME_CONSTANT)
-
-
-def longest_filter_s(time_constant_s: float) -> float:
-    """Longest filter time of the measurement for a process with this time constant.
-
-    Raises ValueError: the time constant is not positive and finite.
-    """
-    return _share(time_constant_s, FILTER_SHARE)
-
-
-def _share(time_constant_s: float, share: float) -> float:
-    if not 0 < time_constant_s < math.inf:
-        raise ValueError(f"time constant = {time_constant_s} s must be positive and finite")
-    return share * time_constant_s
-
-
 def oscillation_by_eye(period_s: float, gains: PidGains | None, *, integrating: bool, tuning: bool) -> list[str]:
     """What an experienced eye says of an oscillation: where to begin, and how to find out where it comes from.
 
@@ -93,16 +59,16 @@ def oscillation_by_eye(period_s: float, gains: PidGains | None, *, integrating: 
         shown = "no integral action" if tau_i_s is None else f"tau_I {tau_i_s:.3g} s"
         advice = oscillating_loop(period_s, tau_i_s, integrating=integrating)
         lines += [f"{shown} with a period of {period_s:.3g} s: {advice}"] if advice else []
-    stops, goes_on = (cause_by_manual(stops_in_manual=answer) for answer in (True, False))
-    return [*lines, f"in manual the oscillation stops if {stops} is the cause, and continues if it is {goes_on}"]
+    by_manual = "stops if the tuning is the cause, and continues if it is something outside the loop"
+    return [*lines, f"in manual the oscillation {by_manual}"]
 
 
 def sampling_by_eye(time_constant_s: float, sample_time_s: float) -> list[str]:
     """What is wrong with how often a process of this time constant is looked at; nothing where it is often enough."""
-    most = longest_poll_s(time_constant_s)
+    most = time_constant_s / POLLS_PER_TIME_CONSTANT
     if sample_time_s <= most:
         return []
     return [
         f"sampled every {sample_time_s:.3g} s: a time constant of {time_constant_s:.3g} s needs at most {most:.3g} s, "
-        f"and a measurement filter below {longest_filter_s(time_constant_s):.3g} s"
+        f"and a measurement filter below {FILTER_SHARE * time_constant_s:.3g} s"
     ]

@@ -359,17 +359,12 @@ def _database() -> Database:
 @lru_cache(maxsize=1)
 def schema() -> int:
     """Layout of all frames as 16 bits of a CRC-32: equal on both ends or nothing is written. Comments do not count."""
-    return schema_of(_plans())
+    return zlib.crc32(schema_text(_plans()).encode()) & 0xFFFF
 
 
 def schema_lines() -> list[str]:
     """The lines whose CRC-32 the layout hash is."""
     return schema_text(_plans()).split("\n")
-
-
-def schema_of(plans: Mapping[int, _Plan]) -> int:
-    """The schema of any plans."""
-    return zlib.crc32(schema_text(plans).encode()) & 0xFFFF
 
 
 def schema_text(plans: Mapping[int, _Plan]) -> str:

@@ -47,14 +47,11 @@ def check(path: ConfigFile, as_json: Json = False) -> int:
             for config, model in zip(session.loops, plants, strict=True)
             for line in described(config, model, several=session.several)
         ]
-        lines += [output_line(session.loops[0]), *(f"warning     {one.text}" for one in warned)]
+        output = session.loops[0].output
+        lines += [f"output      {output.directory}, trend as {output.trend}"]  # what a run leaves behind
+        lines += [f"warning     {one.text}" for one in warned]
         sys.stdout.write(f"{path}: {'WRONG' if wrong else 'ok'}\n" + "".join(f"  {line}\n" for line in lines))
     return 1 if wrong else 0
-
-
-def output_line(config: "Config") -> str:
-    """What a run leaves behind."""
-    return f"output      {config.output.directory}, trend as {config.output.trend}"
 
 
 def described(config: "Config", model: "Sequence[str]", *, several: bool) -> list[str]:

@@ -11,11 +11,7 @@ from retuner.adaptive.loop.margins import margins, sensitivity_peak
 from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
 from retuner.adaptive.rules.slow_oscillation import damping, slow_oscillation
 from retuner.adaptive.rules.visual import (
-    OscillationCause,
     VisualAdvice,
-    cause_by_manual,
-    longest_filter_s,
-    longest_poll_s,
     oscillating_loop,
     oscillation_by_eye,
     sampling_by_eye,
@@ -150,14 +146,8 @@ def test_visual_rules() -> None:
     assert oscillating_loop(10.0, 7.0) is None
     assert oscillating_loop(10.0, 4.0, integrating=True) == VisualAdvice.REMOVE_INTEGRAL_ACTION
     assert oscillating_loop(10.0, None, integrating=True) == VisualAdvice.LOWER_GAIN
-    assert cause_by_manual(stops_in_manual=True) == OscillationCause.TUNING
-    assert cause_by_manual(stops_in_manual=False) == OscillationCause.OUTSIDE
-    assert longest_poll_s(50.0) == pytest.approx(5.0)
-    assert longest_filter_s(50.0) == pytest.approx(10.0)
     with pytest.raises(ValueError, match="positive"):
         oscillating_loop(-1.0, 1.0)
-    with pytest.raises(ValueError, match="positive"):
-        longest_poll_s(0.0)
 
 
 def test_what_an_eye_says_of_an_oscillation_names_its_numbers() -> None:
