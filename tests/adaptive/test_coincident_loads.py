@@ -70,7 +70,6 @@ def test_a_healthy_flow_loop_does_not_become_a_fiction():
     assert not found.estimate.identifiable
     assert found.settings is None
     told = found.to_dict()["rival"]
-    assert isinstance(told, dict)
     assert told["apart"] > 3
     assert told["at"] == pytest.approx(1370.0, abs=20.0)
     assert found.estimate.rival.model.theta_s < 0.2 * found.estimate.log.model().theta_s

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 from retuner.adaptive.guard import KC_ONLY, NO_DERIVATIVE, NO_LOCKS, ChangeRequest, GuardSettings, Locks, Ruling, prove
 from retuner.adaptive.guard.goal_within_limits import Goal, calmer, goals, without_short_derivative
-from retuner.adaptive.guard.ruling import LimitNumbers
 from retuner.adaptive.guard.step_size import extent, less_of_everything
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.process.model import ProcessModel, ProcessType
@@ -144,19 +143,6 @@ def test_the_commissioned_set_does_not_hold_up_a_loop_over_its_limit() -> None:
     more = IdealGains(9.0, 3.0, 9.0).to_parallel()
     held = cut(more, over=True, old=IdealGains(1.0, 20.0, 2.0).to_parallel())[0]
     assert times_of(held.gains) == pytest.approx((4.0, 5.0, 8.0))
-
-
-def test_a_limit_that_turns_a_parameter_back_leaves_no_room() -> None:
-    (goal,) = cut(IdealGains(2.0, 20.0).to_parallel(), GuardSettings(kc_max=0.5))
-    assert (goal.no_room, goal.cut_by) == (True, Ruling.OUTSIDE_LIMITS)
-    assert goal.numbers == LimitNumbers(wanted=2.0, limit=0.5)
-    (back,) = cut(IdealGains(0.4, 20.0).to_parallel(), GuardSettings(kc_min=2.0))
-    assert (back.no_room, back.cut_by) == (True, Ruling.OUTSIDE_LIMITS)
-    rounded = cut(IdealGains(2.0, 20.0).to_parallel(), GuardSettings(kc_max=1.0 - 1e-7))[0]
-    assert not rounded.no_room
-    back = cut(IdealGains(0.6, 20.0).to_parallel(), GuardSettings(kc_max=0.5))[0]
-    assert not back.no_room
-    assert back.gains.kp == 0.5
 
 
 def test_what_is_beyond_the_commissioned_set_may_stay_but_go_no_farther() -> None:

@@ -53,7 +53,6 @@ def test_settings(case: dict) -> None:
     readings = {name: case[name] for name in ("ku", "pu", "kq", "pq", "tau_c") if name in case}
     found = tune(model, case["rule"], kind=case["kind"], **readings)
     gains = found.to_dict()["gains"]
-    assert isinstance(gains, dict)
     assert_printed(gains["kc"], case["kc"])
     if "tau_i" in case:
         assert_printed(gains["tau_i"], case["tau_i"])
@@ -167,7 +166,6 @@ EXAMPLES = [  # Skogestad (2003), examples at tau_c = theta: model, kind, Kc, ta
 )
 def test_published_settings(model: ProcessModel, kind: str, kc: float, tau_i: float, tau_d: float) -> None:
     gains = simc(model, kind=ControllerKind(kind)).to_dict()["gains"]
-    assert isinstance(gains, dict)
     assert gains["kc"] == pytest.approx(kc, rel=5e-4)
     assert gains["tau_i"] == pytest.approx(tau_i, rel=2e-4)
     assert gains["tau_d"] == pytest.approx(tau_d, rel=2e-4, abs=1e-12)
@@ -183,7 +181,6 @@ def test_pure_delay_gives_an_integral_controller() -> None:
 def test_double_integrator() -> None:
     tuning = simc(ProcessModel(T.DOUBLE_INTEGRATING, 0.5, theta_s=2.0), kind=ControllerKind.PID)
     gains = tuning.to_dict()["gains"]
-    assert isinstance(gains, dict)
     assert gains["kc"] == pytest.approx(1 / (4 * 0.5 * 16))
     assert gains["tau_i"] == pytest.approx(16)
     assert gains["tau_d"] == pytest.approx(16)
