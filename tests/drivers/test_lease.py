@@ -1,7 +1,7 @@
 """One host commands: the lease is granted, prolonged, refused, given back and runs out; two hosts on one bus."""
 
 import pytest
-from speaking import OWNER, SECOND, THIRD, acks, device, say, step, take_lease
+from speaking import OWNER, SECOND, THIRD, acks, commit, device, say, stage, step, take_lease
 
 from retuner.drivers.bus.link_settings import LinkSettings
 from retuner.drivers.bus.shared_link import LinkShare
@@ -65,6 +65,13 @@ def test_a_lease_of_n_samples_is_over_in_the_status_of_the_nth_sample() -> None:
     take_lease(dev, samples=3, counter=2)
     told = [next(f.owner for f in step(dev) if isinstance(f, Status)) for _ in range(4)]
     assert told == [OWNER, OWNER, 0, 0]
+
+
+def test_an_accepted_commit_stays_accepted_when_the_lease_ends() -> None:
+    dev = device()
+    say(dev, *stage(1, SECOND), commit(1, SECOND), Lease(OWNER, lease_stamp(dev.epoch, dev.sample), 0, 2))
+    assert acks(step(dev)) == [Reason.OK]
+    assert dev.running.gains == SECOND
 
 
 @pytest.fixture
