@@ -66,18 +66,17 @@ class BookSettings:
     less_odds: float = setting(0.85, "Odds of ms_high from which less action follows", 0.5, 0.9)
     sure_odds: float = setting(0.95, "Odds from which it does at once, behind a whole window", 0.9, 0.99)
     more_odds: float = setting(
-        0.85, "Odds of being cheaper, by loads alone of room as well, from which more action follows", 0.5, 0.9
+        0.85,
+        "Odds of being cheaper, and of a good Ms, from which more action follows; by loads alone of room as well",
+        0.5,
+        0.9,
     )
     restless: float = setting(0.3, "Share of samples outside the noise band from which a load wanders", 0.1, 0.9)
     most: float = setting(
         0.7, "How much a change may save or cost on a process", 0.2, 2.5, source="ln 2: it is on trial"
     )
     borne_out: float = setting(
-        2 / 3,
-        "Odds of being better that less action needs, and of a good Ms that more does",
-        0.5,
-        0.9,
-        source="60 changes, seeds 9331 to 9361; 14 loops, seed 9831",
+        2 / 3, "Odds of being better that less action needs", 0.5, 0.9, source="60 changes, seeds 9331 to 9361"
     )
     room: float = setting(1.8, "Times as much of all actions that a loop with room bears", 1.5, 3.0)
     cost: WorthSettings = field(default_factory=lambda: WorthSettings(ms_calm=1.68))
@@ -288,7 +287,7 @@ def _best(
     (now, before), found = expected_cost(drawn, gains, settings.cost), []
     for new in candidates:
         cost, peaks = expected_cost(drawn, new, settings.cost)
-        good = float(drawn.weights @ (peaks <= settings.ms_good)) >= settings.borne_out
+        good = float(drawn.weights @ (peaks <= settings.ms_good)) >= settings.more_odds
         if more and not (good and _harmless(drawn, before, peaks, settings)):
             continue
         if not more and lets_go(drawn, gains, new, settings):
