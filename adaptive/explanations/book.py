@@ -30,11 +30,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from retuner.adaptive.explanations.likely_processes import BoolArray, LikelyProcesses
+from retuner.adaptive.explanations.likely_processes import LikelyProcesses
 from retuner.adaptive.explanations.process_grid import (
     DEAD_TIMES,
     EVERY_LAG,
     GAINS,
+    BoolArray,
     ComplexArray,
     gain_unit,
     responses_of,

@@ -9,11 +9,11 @@ second term is what too little robustness costs.
 import math
 
 import numpy as np
-import numpy.typing as npt
 
 from retuner.adaptive.declared_setting import require_in_range, setting
 from retuner.adaptive.explanations.process_grid import (
     HALF_TURN,
+    BoolArray,
     ComplexArray,
     ProcessShape,
     control_law,
@@ -24,8 +24,6 @@ from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass
-
-BoolArray = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)

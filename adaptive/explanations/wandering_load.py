@@ -39,16 +39,22 @@ from collections.abc import Sequence
 from functools import cache, lru_cache
 
 import numpy as np
-import numpy.typing as npt
 
-from retuner.adaptive.explanations.process_grid import DEAD_TIMES, GAINS, LAGS, ComplexArray, second_lags, units
+from retuner.adaptive.explanations.process_grid import (
+    DEAD_TIMES,
+    GAINS,
+    LAGS,
+    BoolArray,
+    ComplexArray,
+    second_lags,
+    units,
+)
 from retuner.adaptive.fit.engine import compiled
 from retuner.adaptive.indexes.recording_quality import hidden_sigma
 from retuner.adaptive.signals.noise import quantum_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.late_dataclass import dataclass, replace
 
-BoolArray = npt.NDArray[np.bool_]
 MOST_SAMPLES = 1024
 """Longer records are condensed, or cut into windows, to this many; transforms of a power of two hold them."""
 BANDWIDTHS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6, math.inf)
