@@ -424,6 +424,15 @@ def test_a_loop_with_too_much_integral_action_for_its_gain_gets_more_gain(moved:
         assert told.tuning.gains.ki <= 1.001 * now.ki
 
 
+def test_a_change_is_proved_on_processes_that_it_makes_good_again() -> None:
+    """Ms 5.6, over its limit on all but a hundredth of the odds: on these alone the change was proved, or nowhere."""
+    now = PidGains(0.25 * GOOD.kp, 2.0 * GOOD.ki)
+    told = by_book(replace(after(now, 3), leans=1, moved=1.0), now, SETTINGS)
+    assert told.numbers.book_ms > 5.0
+    assert told.leans == 1
+    assert len(told.models) > 3
+
+
 @pytest.mark.parametrize(
     ("kind", "more"), [(settings_by_book.MORE_GAIN, True), (settings_by_book.MORE_INTEGRAL, False)]
 )
@@ -655,6 +664,9 @@ def test_the_way_back_asks_all_samples_and_the_models_of_responses_as_witnesses(
     found = known_of(known, 0, after(before, 3))
     assert found.by_loads
     assert found.likely()[-1] < 0.1, "a model whose Ms is far out in the book"
+    processes, _, _ = settings_by_book.spread(after(before, 3), before, SETTINGS)
+    assert sum(processes.values()) == pytest.approx(1.0)
+    assert max(processes.values()) > 1.5 / len(processes), "a process with more of the odds weighs more"
     ran = SetsThatRan(before, tried, swings=0.1)
     assert rollback(TrialEvent.RUNAWAY, ran, found, settings.trial).gains == tried
 

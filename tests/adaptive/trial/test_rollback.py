@@ -236,6 +236,13 @@ def test_a_person_is_told_when_the_rollback_leads_to_an_unstable_loop() -> None:
         assert bool(bench.trials.no_rollback(0)) is said
 
 
+@pytest.mark.parametrize(("weight", "said"), [(0.02, False), (0.5, True)])
+def test_a_persons_rollback_is_kept_back_by_models_that_are_likely(weight: float, said: bool) -> None:
+    known = StillAllowed((LinearProcess(0.3, (50.0,), (), 5.5), PROCESS), weights=(1.0, weight))
+    bench = Bench(P.TRIAL, SETS["unstable"], SETS["right"], known)
+    assert bool(bench.trials.no_rollback(0)) is said
+
+
 GAINS = st.builds(PidGains, st.floats(0.3, 30.0), st.floats(0.003, 2.0))
 PROCESSES = st.builds(
     lambda k, tau, theta: LinearProcess(k, (tau,), (), theta), st.floats(0.3, 3.0), st.floats(5, 200), st.floats(1, 20)

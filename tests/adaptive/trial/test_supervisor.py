@@ -1,7 +1,7 @@
 """The trials of a loop: entering the restoring phase puts the verified set back, whatever led there."""
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -112,6 +112,22 @@ def test_a_swing_that_all_samples_give_to_loads_brings_back_no_earlier_set(by_lo
     found = rollback(E.TIMED_OUT, ran, KNOWN._replace(by_loads=by_loads), TrialSettings())
     assert found.stays is stays
     assert found.gains == (NEW if stays else earlier)
+
+
+def test_a_swing_of_the_set_before_brings_back_no_earlier_one_where_the_tried_set_is_robust_by_all_samples() -> None:
+    """Under a tone a loop went from J 1.5 back to 4.5 although the judge had just held its set for robust."""
+    bench = Bench(table={0: PidGains(0.25 * OLD.kp, 0.25 * OLD.ki)})
+    bench.edit(OLD)
+    bench.t_s = 1e9
+    swung = replace(PROMISE, decay_seen=0.95)
+    bench.trials.begin(0, OLD, NEW, swung, bench.t_s)
+    assert bench.trials.written(0, NEW, bench.t_s)
+    bench.table[0] = NEW
+    for _ in range(bench.trial_settings.inconclusive):
+        silent = Judgement(TrialFinding.INCONCLUSIVE, "a tone", TrialNumbers(1.0))
+        bench.trials.silent(0, silent, bench.t_s, robust=True)
+    assert bench.trials.of(0).earlier
+    assert bench.table[0] == NEW
 
 
 @pytest.mark.parametrize(("asks", "phase"), [(False, P.IDLE), (True, P.TRIAL)])
