@@ -18,10 +18,11 @@ The commissioned set has no privilege. After evidence against the tried set the 
 is no model; after a cause that says nothing of it the tried one stays. Another set takes their place where it is
 expected to lose less by more than the price of a change.
 
-Whatever evidence leads back, `less_stable` is asked: no set comes back that is expected to lose more than the one that
-runs on the models that are still allowed, before that evidence weighs them. Where a person orders it, only a set that
-is likelier to be unstable stays out. Evidence may be a tone, a load or a wrong model; an unstable loop is none. Where
-no model is left, the ones on which the tried set was proved keep the door: what they called unstable stays out.
+Whatever evidence leads back, `less_stable` is asked: no set comes back that is likelier to be unstable than the one
+that runs, nor expected to lose more, on the models that are still allowed, before that evidence weighs them (at Ms 100
+the loss is nearly that of an unstable loop). Where a person orders it, only a set that is likelier to be unstable stays
+out. Evidence may be a tone, a load or a wrong model; an unstable loop is none. Where no model is left, those on which
+the tried set was proved keep the door: what they called unstable stays out.
 """
 
 import math
@@ -76,6 +77,10 @@ class StillAllowed(NamedTuple):
         alone = self.weights or (1.0,) * len(self.processes)
         all_of_them = (*alone, *(max(alone) for _ in self.between))
         return tuple(weight / sum(all_of_them) for weight in all_of_them)
+
+    def unstable(self, stored: PidGains) -> float:
+        """Probability that the loop is unstable."""
+        return math.fsum(map(mul, self.likely(), map(math.isinf, self.ms(stored))))
 
 
 NOTHING_KNOWN = StillAllowed()
@@ -178,19 +183,17 @@ def rollback(cause: TrialEvent, ran: SetsThatRan, known: StillAllowed, settings:
 def less_stable(to: PidGains, present: PidGains, known: StillAllowed, harmless_ms: float) -> str:
     """Why a set does not come back in place of the present one, by Ms on the allowed models; empty where it may.
 
-    Its expected loss is greater by more than the price of a change. Where both are unstable on all of them Ms does not
-    tell: then it must not act more in everything.
+    It is likelier to be unstable, or its expected loss is greater, by more than the price of a change. Where both are
+    unstable on all of them Ms does not tell: then it must not act more in everything.
     """
     models = len(known.processes) + len(known.between)
     if not models or to == present:
         return ""
     each = [known.ms(gains) for gains in (to, present)]
     there, here = (Robustness.of(ms) for ms in each)
-    goes, stays = (
-        sum(weight * loss_of(one, harmless_ms) for weight, one in zip(known.likely(), ms, strict=True)) for ms in each
-    )
+    goes, stays = (sum(w * loss_of(one, harmless_ms) for w, one in zip(known.likely(), ms, strict=True)) for ms in each)
     lost = there.unstable == here.unstable == models and less_of_everything(to, present)
-    if not (goes > stays + PRICE or lost):
+    if not (goes > stays + PRICE or known.unstable(to) > known.unstable(present) + PRICE or lost):
         return ""
     return (
         f"they are less stable on {models_words(models)}: {robustness_words(there.ms, there.unstable, models)}, "
@@ -205,9 +208,8 @@ def unstable_again(ran: SetsThatRan, known: StillAllowed) -> str:
     """
     if ran.tried is None:
         return ""
-    unstable = (map(math.isinf, known.ms(gains)) for gains in (ran.before, ran.tried))
-    there, here = (sum(map(mul, known.likely(), one)) for one in unstable)
-    if there > here + PRICE:
+    there = known.unstable(ran.before)
+    if there > known.unstable(ran.tried) + PRICE:
         return f"the previous gains would be unstable with {there:.0%} probability"
     if not known.processes and ran.lost:
         return LOST_WORDS
