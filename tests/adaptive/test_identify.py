@@ -67,7 +67,7 @@ def test_standard_deviations_are_calibrated(loop: Callable, upset: str) -> None:
     shape = {"sp": 1.0, "noise": 0.02} if upset == "setpoint" else {"load": 3.0, "noise": 0.02}
     truth = np.log([1 / 50.0, 5.0, 50.0])
     inside = np.zeros(3)
-    count, least = sized((10, 7), (40, 32), (200, 179))
+    count, least = sized((10, 7), (20, 15), (200, 179))
     for seed in range(count):
         log = identify_window(loop(**shape).run(seed), 1).of(FIRST).log
         inside += np.abs(log.x - truth) < 2 * np.sqrt(np.diag(log.p))

@@ -128,7 +128,7 @@ def test_a_controller_that_hardly_acts_has_hardly_a_peak() -> None:
 # ---- Margins and stability of random loops against python-control, polynomial roots and a dense winding count
 
 SEED = 20240607
-RATIONAL, DELAYED = sized((170, 34), (340, 68), (850, 170))
+RATIONAL, DELAYED = sized((170, 34), (170, 34), (850, 170))
 STABLE = 500 / 1020  # of the loops, at least, or too little is compared
 
 

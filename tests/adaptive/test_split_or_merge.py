@@ -83,7 +83,7 @@ def test_the_advised_settings_are_those_of_a_sampled_controller() -> None:
 @pytest.mark.uncounted
 def test_one_process_is_hardly_ever_taken_for_two() -> None:
     """One process with about the scatter that is allowed: at alpha = 0.001 fourteen of 5,000 at most."""
-    count, most = sized((100, 1), (200, 1), (5000, 14))
+    count, most = sized((100, 1), (100, 1), (5000, 14))
     rng, wrong = random.Random(7), 0
     for _ in range(count):
         points = [point(rng, 100.0 * rng.random(), 1000.0 * i, 1.0) for i in range(12)]

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from once import once
 
 from retuner.cli import main
 from retuner.commands import left_by_run
@@ -45,14 +46,20 @@ steps = [{ at_s = 0.0, sp = 2.0 }, { at_s = 10.0, sp = 3.0 }, { at_s = 45.0, sp 
 """
 
 
-def run_short(folder: Path, *arguments: str) -> Path:
+def run_short(folder: Path, *arguments: str, text: str = SHORT) -> Path:
     """The session of a run of it; without its report, which other tests look at and which takes longest of all."""
-    (folder / "short.toml").write_text(SHORT)
+    (folder / "short.toml").write_text(text)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(left_by_run, "render", lambda data: f"{len(data.decisions)} decisions")
         command = ["run", str(folder / "short.toml"), "--out", str(folder / "run"), "--no-compare", *arguments]
         assert main(command) == 0
     return folder / "run"
+
+
+def short_session(tmp_path_factory: pytest.TempPathFactory, *arguments: str) -> Path:
+    """The session of run_short, run once for all who only read it; its configuration lies beside it."""
+    name = "".join(("short", *arguments))
+    return once(tmp_path_factory, name, lambda folder: run_short(folder, *arguments)) / "run"
 
 
 def rewritten(session: Path, to: Path, change: Callable[[Row], dict[str, Any] | None]) -> Path:

@@ -21,7 +21,7 @@ from retuner.session.running import Run
 
 sys.path.append(str(Path(__file__).parent))
 
-from recorded import SHORT, bodies, run_short
+from recorded import SHORT, bodies, run_short, short_session
 
 BY = ["--by", "Ada", "--note", "as discussed"]
 
@@ -187,7 +187,7 @@ def test_an_order_for_an_ended_session_is_taken_by_the_next_one_and_only_once(wi
 @pytest.fixture(scope="module")
 def advice(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An ended session with open proposals."""
-    return run_short(tmp_path_factory.mktemp("advice"))
+    return short_session(tmp_path_factory)
 
 
 @pytest.fixture

@@ -11,13 +11,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from once import once
 
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decide import decide
 from retuner.adaptive.supervision.question import Question
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.cli import main
-from retuner.commands import left_by_run
 from retuner.decisions.decider import LATE, LOST, Answer, DecideHere, Decider
 from retuner.decisions.worker import DecideInWorker, DecisionWorkers
 from retuner.drivers.clock import SimulatedClock
@@ -27,7 +27,7 @@ from retuner.session.outputs import read_loops
 
 sys.path.append(str(Path(__file__).parent))
 
-from recorded import SHORT, bodies
+from recorded import SHORT, bodies, run_short
 
 DELAY = 25
 PATIENCE_S = 120.0
@@ -36,17 +36,11 @@ PATIENCE_S = 120.0
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A short run whose decisions are entered late."""
-    folder = tmp_path_factory.mktemp("later")
     slow = SHORT.replace("[device]", f"decision_delay_samples = {DELAY}\n[device]", 1)
-    (folder / "short.toml").write_text(slow)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(left_by_run, "render", lambda data: f"{len(data.decisions)} decisions")
-        command = ["run", str(folder / "short.toml"), "--out", str(folder / "run"), "--no-compare", "--mode", "auto"]
-        assert main(command) == 0
-    return folder / "run"
+    return once(tmp_path_factory, "later", lambda folder: run_short(folder, "--mode", "auto", text=slow)) / "run"
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def asked(session: Path) -> tuple[Retuner, Question]:
     """A retuner with an open question, and the question."""
     recorded = read_loops(session)[0][0]
@@ -114,6 +108,7 @@ def test_loops_share_a_worker_and_each_gets_the_answer_to_its_newest_question(as
 
 @pytest.mark.slow
 def test_a_worker_that_is_killed_costs_this_decision_and_not_the_next(asked: tuple[Retuner, Question]) -> None:
+    """Killed between two questions it costs none."""
     _, question = asked
     with DecideInWorker(PATIENCE_S) as worker:
         first = worker.pid
@@ -125,9 +120,15 @@ def test_a_worker_that_is_killed_costs_this_decision_and_not_the_next(asked: tup
         assert lost.result.code == LOST
         assert "was killed by SIGKILL" in lost.trouble
         assert "\n" not in lost.result.reason
-        assert worker.pid not in {None, first}
+        second = worker.pid
+        assert second not in {None, first}
         worker.ask(question)
         assert waited(worker).trouble == ""
+        os.kill(second, signal.SIGKILL)
+        worker._worker.process.wait()
+        worker.ask(question)
+        assert waited(worker).trouble == ""
+        assert worker.pid != second
 
 
 @pytest.mark.slow
@@ -144,20 +145,6 @@ def test_a_worker_is_warm_when_it_has_imported_and_one_that_is_gone_holds_nobody
         worker = decider._worker
         decider.wait_until_warm(60.0)
         assert worker.warm.is_set()
-
-
-@pytest.mark.slow
-def test_a_worker_that_died_between_two_questions_is_replaced_unnoticed(asked: tuple[Retuner, Question]) -> None:
-    _, question = asked
-    with DecideInWorker(PATIENCE_S) as worker:
-        worker.ask(question)
-        waited(worker)
-        first = worker.pid
-        os.kill(first, signal.SIGKILL)
-        time.sleep(0.2)
-        worker.ask(question)
-        assert waited(worker).trouble == ""
-        assert worker.pid != first
 
 
 @pytest.mark.slow

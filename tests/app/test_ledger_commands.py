@@ -14,12 +14,12 @@ from retuner.ledger import LedgerReader
 
 sys.path.append(str(Path(__file__).parent))
 
-from recorded import bodies, run_short
+from recorded import bodies, short_session
 
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return run_short(tmp_path_factory.mktemp("ledger"), "--mode", "auto")
+    return short_session(tmp_path_factory, "--mode", "auto")
 
 
 @pytest.fixture

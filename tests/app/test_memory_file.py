@@ -112,7 +112,7 @@ def test_what_a_finished_session_has_learned_is_what_the_next_one_begins_with(wh
 def test_killed_at_any_row_or_file_the_next_session_knows_what_the_ledger_knows(tmp_path, config, whole):
     points = len(believed_rows(whole.folder / LEDGER)) + len(whole.known)
     without: list[tuple[int, str]] = []
-    for fuse in range(1, points + 1, sized(6, 3, 1)):
+    for fuse in range(1, points + 1, sized(6, 6, 1)):
         life = Life(tmp_path / f"killed-{fuse}", config, fuse).live()
         rows = believed_rows(life.folder / LEDGER)
         decided = sum(row.kind == "decision" for row in rows)

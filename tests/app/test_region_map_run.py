@@ -10,6 +10,7 @@ from typing import Any
 import can
 import numpy as np
 import pytest
+from once import once
 
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Mode
@@ -216,10 +217,12 @@ IN_STEP = TEXT.replace("sample_time_s = 1.0", "sample_time_s = 2.0")
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Both loops in one run."""
-    folder = tmp_path_factory.mktemp("several")
-    (folder / "two.toml").write_text(IN_STEP)
-    assert main(["run", str(folder / "two.toml"), "--no-compare", "--out", str(folder / "run")]) == 0
-    return folder / "run"
+
+    def run(folder: Path) -> None:
+        (folder / "two.toml").write_text(IN_STEP)
+        assert main(["run", str(folder / "two.toml"), "--no-compare", "--out", str(folder / "run")]) == 0
+
+    return once(tmp_path_factory, "several", run) / "run"
 
 
 def bodies(session: Path, kind: str, loop: str) -> list[dict[str, Any]]:

@@ -29,13 +29,14 @@ from retuner.session.outputs import read_loops
 
 sys.path.append(str(Path(__file__).parent))
 
-from recorded import SHORT, bodies, rewritten, run_short
+from recorded import SHORT, bodies, rewritten, run_short, short_session
 
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run in which gains are changed."""
-    folder = run_short(tmp_path_factory.mktemp("replay"), "--mode", "auto")
+    folder = tmp_path_factory.mktemp("replay") / "run"
+    shutil.copytree(short_session(tmp_path_factory, "--mode", "auto"), folder)
     assert len(bodies(folder, "committed")) >= 1
     return folder
 

@@ -34,18 +34,18 @@ def part(*command: object) -> dict:
 @pytest.mark.slow
 @pytest.mark.uncounted
 def test_killed_or_refused_at_durable_system_calls_nothing_acknowledged_is_lost() -> None:
-    result = part(FAULTS, "sweep", "--every", 23)
+    result = part(FAULTS, "sweep", "--every", sized(37, 37, 23))
     assert result["wrong"] == []
     assert sum(result["durable calls"].values()) > 50
-    assert min(result["points"].values()) >= 4, result["points"]
+    assert min(result["points"].values()) >= 2, result["points"]
 
 
 @pytest.mark.slow
 def test_killed_at_random_moments_nothing_acknowledged_is_lost() -> None:
-    result = part(FAULTS, "kills", "--count", 60)
+    result = part(FAULTS, "kills", "--count", sized(30, 30, 60))
     assert result["wrong"] == []
-    assert result["killed"] > 50
-    assert result["rows"] > 60
+    assert result["killed"] > sized(24, 24, 50)
+    assert result["rows"] > sized(30, 30, 60)
 
 
 @pytest.mark.slow
@@ -93,7 +93,7 @@ def judged(*arguments: object) -> dict:
     ],
 )
 def test_a_hostile_file_ends_in_one_line_or_is_harmless(kind: str, count: int, cut_every: int) -> None:
-    count = sized(count // 3, count // 2, count)
+    count = sized(count // 3, count // 3, count)
     result = judged(kind, "--count", count, "--cut-every", cut_every)
     assert result["wrong"] == []
     assert sum(result["mutants"].values()) == count
@@ -102,7 +102,7 @@ def test_a_hostile_file_ends_in_one_line_or_is_harmless(kind: str, count: int, c
 
 
 def test_hostile_files_end_a_command_in_status_2_and_one_line_and_a_broken_ledger_in_1() -> None:
-    count = sized(3000, 6_000, 12_000)
+    count = sized(3_000, 3_000, 12_000)
     result = judged("commands", "--count", count)
     assert result["wrong"] == []
     for kind, statuses in result["statuses"].items():
@@ -111,7 +111,7 @@ def test_hostile_files_end_a_command_in_status_2_and_one_line_and_a_broken_ledge
 
 
 def test_hostile_frames_stop_neither_end_and_change_no_gains() -> None:
-    count = sized(15_000, 30_000, 60_000)
+    count = sized(15_000, 15_000, 60_000)
     result = judged("frames", "--count", count)
     assert result["wrong"] == []
     assert min(result["frames"].values()) > count / 6

@@ -18,7 +18,7 @@ from retuner.session.running import Run
 
 sys.path.append(str(Path(__file__).parent))
 
-from recorded import bodies, run_short
+from recorded import bodies, run_short, short_session
 
 REFUSED = "a newer proposal of its region supersedes it: "
 
@@ -26,7 +26,7 @@ REFUSED = "a newer proposal of its region supersedes it: "
 @pytest.fixture(scope="module")
 def advice(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An ended session that advised its one region twice."""
-    return run_short(tmp_path_factory.mktemp("advice"))
+    return short_session(tmp_path_factory)
 
 
 @pytest.fixture

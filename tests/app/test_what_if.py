@@ -25,15 +25,13 @@ from retuner.schedule.table import GainTable
 
 sys.path.append(str(Path(__file__).parent))
 
-from recorded import SHORT, bodies, run_short
+from recorded import SHORT, bodies, short_session
 
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a configuration and the session of another run of it, in which gains were changed."""
-    folder = tmp_path_factory.mktemp("whatif")
-    run_short(folder, "--mode", "auto")
-    return folder
+    return short_session(tmp_path_factory, "--mode", "auto").parent
 
 
 def asked(log: Path, config: Path, capsys: pytest.CaptureFixture[str], *more: str) -> dict[str, Any]:

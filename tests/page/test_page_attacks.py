@@ -136,7 +136,7 @@ def test_every_answer_says_what_a_browser_may_do_with_it(served: Served) -> None
         assert headers["referrer-policy"] == "no-referrer"
 
 
-MALFORMED = sized(300, 1000, 100_000)
+MALFORMED = sized(300, 300, 100_000)
 
 
 @pytest.mark.uncounted

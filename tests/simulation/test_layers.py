@@ -31,7 +31,7 @@ def found(make: object = VirtualDevice) -> str:
 
 
 @pytest.mark.uncounted
-@pytest.mark.parametrize("mutant", ALL[:: sized(12, 6, 1)], ids=lambda mutant: mutant.name)
+@pytest.mark.parametrize("mutant", ALL[:: sized(12, 10, 1)], ids=lambda mutant: mutant.name)
 def test_firmware_with_one_thing_wrong_is_found(mutant: Mutant) -> None:
     assert found(partial(FirmwareDevice, changes=((mutant.old, mutant.new),))) != ""
 
@@ -42,7 +42,7 @@ def test_what_a_host_mutant_changes_stands_once() -> None:
     assert {name: count for name, count in found.items() if count != 1} == {}
 
 
-@pytest.mark.parametrize("number", range(sized(7, 3, 0), len(HOST_MUTANTS), sized(40, 12, 1)))
+@pytest.mark.parametrize("number", range(sized(7, 3, 0), len(HOST_MUTANTS), sized(40, 20, 1)))
 def test_a_host_with_one_layer_taken_away_is_found(number: int) -> None:
     """By what it sends and tells alone: the device, which is whole, keeps it from doing harm."""
     assert broken_by(number) != ""
