@@ -59,15 +59,6 @@ def test_what_is_only_safer_says_so() -> None:
     assert words_of(verdict, "ms_worst") == worst
 
 
-def test_doubtful_evidence_says_what_it_still_allows() -> None:
-    doubted = Evidence(innovation=40.0, gate=20.0)
-    verdict = prove(replace(request(times(3.0, 3.0)), evidence=doubted), SETTINGS)
-    assert (
-        words_of(verdict, "innovation")
-        == "misfit of the last record to the model (or less gain and integral action only)"
-    )
-
-
 def test_a_derivative_on_its_way_is_left_out_while_it_is_too_short() -> None:
     wanted = PidGains(8 * GAINS.kp, 8 * GAINS.ki, 8 * GAINS.kp * 1.2)
     verdict = prove(of_pattern(GAINS, wanted, GAINS), SETTINGS)

@@ -222,27 +222,6 @@ def test_a_cut_change_is_written_and_says_so() -> None:
     assert verdict.step < 1.0
 
 
-def test_at_the_limit_nothing_is_left_and_the_limit_is_named() -> None:
-    tau_i_s = GAINS.kp / GAINS.ki
-    limits = GuardSettings(kc_max=0.6 * GAINS.kp, tau_i_max_s=tau_i_s, tau_i_min_s=tau_i_s)
-    at = prove(request(times(0.6, 0.6)), limits)
-    assert at.ruling == Ruling.OUTSIDE_LIMITS
-    assert "Kc held at" in at.sentence
-    assert ": kc_max" in at.sentence
-    total = prove(request(times(0.6, 0.6), commissioned=times(0.15, 0.15)), replace(SETTINGS, tau_i_min_s=tau_i_s))
-    assert total.ruling == Ruling.OUTSIDE_TOTAL
-    assert total.numbers.to_dict()["wanted"] == pytest.approx(GAINS.kp)
-
-
-def test_where_kc_is_at_its_limit_tau_i_alone_helps() -> None:
-    in_force = times(0.6, 0.6)
-    verdict = prove(request(in_force, commissioned=times(0.15, 0.15)), SETTINGS)
-    assert verdict.ruling == Ruling.ACCEPTED
-    assert verdict.gains.kp == pytest.approx(in_force.kp)
-    assert verdict.gains.ki > 1.2 * in_force.ki
-    assert "tau_I moved with Kc" in verdict.sentence
-
-
 GAIN = st.floats(0.01, 100)
 TIME = st.floats(0.1, 1000)
 

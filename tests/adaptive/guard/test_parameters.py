@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from retuner.adaptive.declared_setting import declared
 from retuner.adaptive.guard import GuardSettings, change_factor, within_limits
-from retuner.adaptive.guard.step_size import Parameter, extent, less_of_everything, logs, step_limit, within_factor
+from retuner.adaptive.guard.step_size import Parameter, extent, less_of_everything, logs, step_limit
 from retuner.schedule.gains import PidGains
 
 SETTINGS = GuardSettings()
@@ -50,13 +50,6 @@ def test_the_defaults_are_the_published_ones() -> None:
     assert (s.step_up_max, s.step_down_max, s.total_ratio_max) == (2.0, 4.0, 4.0)
     assert (s.ms_nominal, s.ms_worst, s.tau_c_max_ratio) == (1.75, 2.1, 1.3)
     assert s.age_max_s == 30 * 24 * 3600
-
-
-def test_the_derivative_has_limits_of_its_own() -> None:
-    old = PidGains(1.0, 0.1, 2.0)
-    assert moved(old, PidGains(1.0, 0.1, 20.0)).kd == pytest.approx(4.0)
-    assert moved(old, PidGains(1.0, 0.1, 0.2)).kd == pytest.approx(0.5)
-    assert moved(old, PidGains(1.0, 0.1, 20.0), replace(SETTINGS, tau_d_up_max=3.0)).kd == pytest.approx(6.0)
 
 
 @pytest.mark.parametrize("parameter", list(Parameter))
@@ -135,13 +128,6 @@ def test_steps_lie_on_the_straight_way_within_every_limit(
         more = (way > 0) == (parameter is not Parameter.TAU_I)
         assert abs(here[parameter] - start[parameter]) <= math.log(2.0 if more else 4.0) + 1e-9
     assert extent(old, now) == pytest.approx(gone * extent(old, new), abs=1e-9)
-
-
-@given(o=st.tuples(FACTOR, FACTOR), n=st.tuples(FACTOR, FACTOR), factor=st.floats(1.01, 3))
-def test_one_factor_holds_every_parameter(o: tuple[float, float], n: tuple[float, float], factor: float) -> None:
-    now = within_factor(PidGains(*o), PidGains(*n), factor)
-    assert extent(PidGains(*o), now) <= math.log(factor) + 1e-9
-    assert extent(PidGains(*o), now) == pytest.approx(min(extent(PidGains(*o), PidGains(*n)), math.log(factor)))
 
 
 def test_change_factor() -> None:

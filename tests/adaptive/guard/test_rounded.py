@@ -33,15 +33,6 @@ def test_accepted_gains_are_those_that_are_held(step: float, factor: float) -> N
         assert verdict.accepted
 
 
-def test_the_same_step_without_rounding_goes_elsewhere() -> None:
-    held = units(0.3)
-    in_force = held.rounded(times(0.5, 0.5))
-    free = prove(request(in_force), SETTINGS)
-    rounded = prove(replace(request(in_force), units=held), SETTINGS)
-    assert free.gains is not None
-    assert rounded.gains != free.gains
-
-
 def test_what_cannot_be_held_is_refused() -> None:
     held = units(0.1, high=round(0.4 * GAINS.kp / 0.1))  # more gain than is in force cannot be held
     in_force = held.rounded(times(0.4, 0.4))

@@ -13,10 +13,9 @@ from rig import GOOD, MODEL, PROMISE, Rig
 from retuner.adaptive.fit.structure import parameters_of
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
-from retuner.adaptive.orders.operator_orders import approve, approve_proposal, found_running
-from retuner.adaptive.orders.pending_proposal import Proposal
+from retuner.adaptive.orders.operator_orders import approve_proposal, found_running
 from retuner.adaptive.region_model.region_model import RegionModel, StructureModel
-from retuner.adaptive.signals.sample import LoopMode, LoopSample
+from retuner.adaptive.signals.sample import LoopMode
 from retuner.adaptive.supervision.decision import Action, Decision, Mode, Outcome
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
@@ -59,26 +58,6 @@ class Stand:
         yield from self.samples(n)
 
 
-@pytest.mark.parametrize("cause", [E.MANUAL, E.GAP])
-def test_manual_mode_and_gaps_say_nothing_of_a_cure(cause: TrialEvent) -> None:
-    stand = Stand(UNSTABLE).cure()
-    if cause is E.MANUAL:
-        told = stand.samples(30, mode=LoopMode.MANUAL)
-        assert [d.code for d in told] == ["kept_manual"]
-        assert stand.retuner.trials.phase(0) is P.PAUSED
-    else:
-        stand.rig.t_s += 9.0
-        told = stand.samples(1)
-        assert [d.code for d in told] == ["kept_gap"]
-    assert told[0].action is Action.NONE
-    assert told[0].gains_after is None
-    assert "previous gains unstable" in told[0].reason
-    assert json.loads(told[0].canonical())["numbers"]["unstable_before"] >= 1
-    assert stand.samples(2) == []
-    assert stand.retuner.trials.phase(0) is P.TRIAL
-    assert stand.retuner.table.gains == (GOOD,)
-
-
 def test_the_end_leaves_it_running_and_the_next_session_goes_on_with_its_trial() -> None:
     stand = Stand(UNSTABLE).cure()
     decision = stand.retuner.abort(E.STOPPED)
@@ -105,43 +84,6 @@ def test_the_same_cause_ends_the_trial_of_a_set_that_is_worse() -> None:
     assert decision.code == "undo_manual"
     assert decision.gains_after == GOOD
     assert "trial gains unstable" in decision.reason
-
-
-def test_responses_that_say_nothing_end_a_trial_where_nothing_speaks_against_the_set() -> None:
-    stand = Stand(UNSTABLE, inconclusive=2).cure()
-    judged: list[Decision] = []
-    for i in range(12):  # so small that its peaks say nothing
-        stand.rig.sp = 0.3 * (i % 2)
-        judged += [d for d in stand.samples(400) if d.judgement]
-        if stand.retuner.trials.phase(0) is not P.TRIAL:
-            break
-    assert stand.retuner.trials.phase(0) is P.IDLE
-    assert "were inconclusive, the trial gains stay" in judged[-1].judgement.reason
-    assert stand.retuner.table.gains == (GOOD,)
-
-
-def test_an_edit_is_kept_said_and_only_proposed_upon_until_its_time_is_over() -> None:
-    stand = Stand(GOOD, edit_hold_s=5000.0)
-    assert stand.retuner.edited(GOOD) is None
-    decision = stand.retuner.edited(WEAK)
-    stand.rig.change(WEAK)
-    assert (decision.code, decision.action) == ("edited", Action.NONE)
-    assert "held for 5,000 s" in decision.reason
-    assert "Ms at most 1." in decision.reason
-    assert stand.retuner.table.gains == (WEAK,)
-    stand.samples(200)
-    stand.rig.sp = 5.0
-    (proposed,) = [d for d in stand.samples(1500) if d.gains_after]
-    assert proposed.action is Action.ADVISE
-    assert "an operator set the active gains" in proposed.reason
-    assert stand.retuner.table.gains == (WEAK,)
-    proposal = Proposal.of(proposed)
-    assert proposal is not None
-    taken = approve(stand.retuner, proposal, stand.rig.t_s)
-    assert taken.action is Action.WRITE
-    assert taken.reason.startswith("proposal ")
-    assert taken.reason.endswith("was approved by an operator")
-    assert stand.retuner.trials.phase(0) is P.WRITING
 
 
 def test_gains_of_the_other_sign_are_refused_at_the_door() -> None:
@@ -221,23 +163,6 @@ def test_who_takes_ours_away_again_and_again_is_left_alone_for_longer() -> None:
         holds.append(stand.retuner.trials.of(0).until_s - stand.rig.t_s)
         stand.samples(500)
     assert holds == [100.0, 200.0, 400.0]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", [np.float32, np.float64])
-def test_numbers_of_numpy_come_through(kind: type) -> None:
-    stand = Stand(PidGains(kind(WEAK.kp), kind(WEAK.ki)))
-    stand.retuner = Retuner(stand.retuner.table, RetunerSettings(kind(1.0), kind(100.0), Mode.AUTO, band=kind(0.1)))
-    stand.rig.change(WEAK)
-    made = []
-    for i, s in enumerate(stand.rig.run(1800)):
-        stand.rig.sp = 5.0 if i > 300 else 0.0
-        whole = np.int64(s.mode), np.int32(s.limited), kind(s.x), np.int64(s.revision)
-        d = stand.retuner.observe(LoopSample(kind(s.t_s), kind(s.sp), kind(s.pv), kind(s.co), *whole))
-        made += [d] if d else []
-    assert made
-    assert all(json.loads(d.canonical())["number"] for d in made)
-    json.dumps(remember(stand.retuner), allow_nan=False)
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.supervision.decide import decide
 from retuner.adaptive.supervision.decision import Action
 from retuner.adaptive.supervision.question import Step
-from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
+from retuner.adaptive.trial.phase import TrialEvent
 
 
 def step_until(stand: Stand, *, decision: bool = False, question: bool = False) -> Step:
@@ -53,20 +53,3 @@ def test_a_trial_that_ends_meanwhile_overtakes_the_answer() -> None:
     assert stand.retuner.abort(TrialEvent.LINK_LOST) is not None
     late = stand.retuner.enter(question, decide(question), stand.retuner.sample_number)
     assert (late.code, late.judgement) == ("overtaken_trial_ended", None)
-
-
-def test_a_trial_is_judged_when_the_answer_is_entered() -> None:
-    at_once, stand = Stand(GOOD), Stand(GOOD)
-    for one in (at_once, stand):
-        one.rig.sp = 5.0
-    whole = next(at_once.run(2000))
-    question = step_until(stand, question=True).question
-    assert question is not None
-    for sample in stand.rig.run(9):
-        assert stand.retuner.step(sample) == (None, None)
-    assert stand.retuner.trials.of(0).kept == 0
-    late = stand.retuner.enter(question, decide(question), stand.retuner.sample_number)
-    assert whole.judgement is not None
-    assert late.judgement == whole.judgement
-    assert stand.retuner.trials.of(0).kept == at_once.retuner.trials.of(0).kept == 1
-    assert stand.retuner.trials.phase(0) is at_once.retuner.trials.phase(0) is TrialPhase.IDLE

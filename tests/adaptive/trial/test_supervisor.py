@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
-from rig import BAD, GOOD, PROMISE, Rig, responses
+from rig import GOOD, PROMISE, Rig, responses
 
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.response import Ending, Peak, Response
@@ -217,32 +217,12 @@ def test_several_responses_may_have_to_keep_the_promise() -> None:
         assert bench.trials.phase(0) is phase
 
 
-def test_a_response_that_is_worse_takes_the_set_back() -> None:
-    bad = BAD["kc /4"]
-    seen = responses(Rig(bad), 1500, load=10.0)[0]
-    bench = Bench(table={0: GOOD})
-    bench.write(new=bad)
-    found = bench.trials.judge(0, seen, bad, 1.0, ask=False)
-    assert found.finding is TrialFinding.WORSE
-    assert bench.trials.restoring == (0,)
-    assert bench.table[0] == GOOD
-
-
 def sample(t_s: float, **values: float) -> LoopSample:
     return LoopSample(t_s, 0.0, 0.0, 0.0)._replace(**values)
 
 
 def look(bench: Bench, s: LoopSample, region: int = 0, elapsed_s: float = 1.0, *, blended: bool = False) -> object:
     return bench.trials.watch(s, region, 0.1, elapsed_s, 5.0, blended=blended)
-
-
-@pytest.mark.parametrize("phase", [p for p in UNDECIDED if p not in STAYS], ids=lambda p: p.name)
-def test_what_a_sample_can_tell_ends_every_undecided_trial_of_which_nothing_is_known(phase: TrialPhase) -> None:
-    for s, elapsed_s, cause in ((sample(10.0, mode=LoopMode.MANUAL), 1.0, E.MANUAL), (sample(10.0), 6.0, E.GAP)):
-        bench = Bench()
-        bench.into(phase)
-        assert look(bench, s, elapsed_s=elapsed_s) == {0: cause}
-        assert bench.table[0] == OLD
 
 
 def test_a_trial_waits_while_the_loop_is_elsewhere_unless_the_table_interpolates() -> None:
