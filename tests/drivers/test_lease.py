@@ -4,14 +4,12 @@ import pytest
 from speaking import OWNER, SECOND, THIRD, acks, commit, device, say, stage, step, take_lease
 
 from retuner.drivers.bus.link_settings import LinkSettings
-from retuner.drivers.bus.shared_link import LinkShare
 from retuner.drivers.device import (
     CommandDone,
     ForeignHost,
     LeaseChanged,
     RunningChanged,
     WriteDone,
-    WriteFailed,
     WriteRefusedError,
 )
 from retuner.drivers.host.can_device import CanDevice
@@ -123,40 +121,11 @@ def test_a_host_that_died_leaves_the_lease_behind_only_for_its_length(two) -> No
     assert bench.device.lease.owner == OTHER
 
 
-def test_a_write_that_loses_the_lease_half_way_ends_on_the_old_set(bench) -> None:
-    seq = bench.host.begin_write(SECOND, bench.now_s)
-    bench.device.lease.boot()
-    bench.device.pages.drop_staged()
-    take_lease(bench.device, owner=OTHER)
-    (failed,) = [e for e in bench.run(20) if isinstance(e, WriteFailed)]
-    assert failed.seq == seq
-    assert failed.reason == f"host {OTHER} holds the lease"
-    assert bench.device.running.gains == bench.FIRST
-
-
 def test_a_command_waits_for_the_lease(bench) -> None:
     bench.device.lease.boot()
     bench.host.send_setpoint(60.0, bench.now_s)
     assert CommandDone("setpoint") in bench.run(20)
     assert bench.device.sp == 60.0
-
-
-def test_two_loops_on_one_bus_have_leases_of_their_own(make_bench) -> None:
-    bench = make_bench()
-    share = LinkShare(bench.near)
-    hosts = [CanDevice(share.port(node), CanDeviceSettings(node=node, owner=5)) for node in (1, 2)]
-    other = device(node=2)
-    for _ in range(8):
-        bench.clock.advance(2.0)
-        for message in [*bench.device.step(), *other.step()]:
-            bench.far.send(message)
-        for host in hosts:
-            host.poll(bench.now_s)
-        for message in bench.far.receive_all():
-            for reply in [*bench.device.receive(message), *other.receive(message)]:
-                bench.far.send(reply)
-    assert all(host.connected for host in hosts)
-    assert bench.device.lease.owner == other.lease.owner == 5
 
 
 def test_owners_are_numbers_of_16_bits() -> None:

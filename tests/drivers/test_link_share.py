@@ -1,6 +1,7 @@
 """Many loops on one link: each host gets its own controller's frames, and one that is not polled takes no memory."""
 
 import itertools
+from collections.abc import Sequence
 from pathlib import Path
 
 import can
@@ -15,9 +16,10 @@ from retuner.drivers.bus.shared_link import LinkShare
 from retuner.drivers.clock import MonotonicClock, SimulatedClock
 from retuner.drivers.controller.device_process import DeviceOnBus
 from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
-from retuner.drivers.device import LinkState, SamplesLost
+from retuner.drivers.device import LinkState, SamplesLost, WriteDone
 from retuner.drivers.host.can_device import CanDevice, CanDeviceSettings
 from retuner.drivers.plants.linear_plant import LinearPlant
+from retuner.drivers.protocol.frames import HIGHEST_NODE
 from retuner.drivers.telemetry.signal_source import plant_message
 from retuner.schedule.gains import PidGains
 from retuner.session.bench_or_buses import live_buses
@@ -31,11 +33,10 @@ OTHER = 17  # a node that nobody here watches
 class Plant:
     """Devices on links of their own, hosts on ports of one link."""
 
-    def __init__(self) -> None:
-        self.clock, channel = SimulatedClock(), f"share-{next(CHANNELS)}"
-        settings = LinkSettings(channel=channel)
+    def __init__(self, nodes: Sequence[int] = NODES, strangers: tuple[int, ...] = (OTHER,)) -> None:
+        self.clock, settings = SimulatedClock(), LinkSettings(channel=f"share-{next(CHANNELS)}")
         self.devices, self.links = [], []
-        for node in (*NODES, OTHER):
+        for node in (*nodes, *strangers):
             firmware = VirtualDeviceSettings(PidGains(node, 0.125), node=node, sample_time_s=1.0)
             plant = LinearPlant(LinearProcess(1.0, (20.0,)), start_pv=float(node))
             self.links.append(CanLink(settings, self.clock))
@@ -43,16 +44,16 @@ class Plant:
         self.links.append(CanLink(settings, self.clock))
         self.share = LinkShare(self.links[-1])
         self.hosts = {
-            node: CanDevice(self.share.port(node), CanDeviceSettings(node=node, sample_time_s=1.0)) for node in NODES
+            node: CanDevice(self.share.port(node), CanDeviceSettings(node=node, sample_time_s=1.0)) for node in nodes
         }
-        self.events = {node: [] for node in NODES}
+        self.events = {node: [] for node in nodes}
 
-    def run(self, samples: int, watched: tuple[int, ...] = NODES) -> None:
+    def run(self, samples: int, watched: Sequence[int] = ()) -> None:
         for _ in range(samples):
             self.clock.advance(1.0)
             for device in self.devices:
                 device.sample()
-            for node in watched:
+            for node in watched or self.hosts:
                 self.events[node] += self.hosts[node].poll(self.clock.now_s())
             for device in self.devices:
                 device.answer()
@@ -60,13 +61,16 @@ class Plant:
     def samples(self, node: int) -> list[LoopSample]:
         return [event for event in self.events[node] if isinstance(event, LoopSample)]
 
+    def close(self) -> None:
+        for link in self.links:
+            link.close()
+
 
 @pytest.fixture
 def plant():
     made = Plant()
     yield made
-    for link in made.links:
-        link.close()
+    made.close()
 
 
 def test_every_host_hears_its_own_controller(plant: Plant) -> None:
@@ -119,3 +123,29 @@ def test_a_limit_leaves_the_rest_for_later(plant: Plant) -> None:
 def test_a_node_that_cannot_be_is_refused(plant: Plant, node: int) -> None:
     with pytest.raises(ValueError, match="from 1 to 63"):
         plant.share.port(node)
+
+
+def test_63_loops_on_one_bus_are_written_at_once_each_with_its_own() -> None:
+    plant = Plant(range(1, HIGHEST_NODE + 1), ())
+    plant.run(5)
+    wanted = {node: PidGains(1.25 * node, 0.0625) for node in plant.hosts}
+    for node, host in plant.hosts.items():
+        host.begin_write(wanted[node], plant.clock.now_s())
+    plant.run(8)
+    done = [node for node, events in plant.events.items() for event in events if isinstance(event, WriteDone)]
+    assert done == list(wanted)
+    assert [one.device.running.gains for one in plant.devices] == list(wanted.values())
+    assert sum(host.refused_frames + host.foreign_commands for host in plant.hosts.values()) == 0
+    plant.close()
+
+
+def test_the_same_node_on_two_buses_is_two_loops() -> None:
+    plants, new = [Plant((7,), ()) for _ in range(2)], PidGains(8.0, 0.25)
+    for sample in range(14):
+        for plant in plants:
+            plant.run(1)
+        if sample == 5:
+            plants[1].hosts[7].begin_write(new, plants[1].clock.now_s())
+    assert [plant.devices[0].device.running.gains for plant in plants] == [PidGains(7, 0.125), new]
+    for plant in plants:
+        plant.close()

@@ -3,7 +3,7 @@
 import pytest
 from speaking import FIRST, SECOND, device, step, write
 
-from retuner.drivers.device import CommandDone, Reverted, WriteDone, WriteRefusedError
+from retuner.drivers.device import CommandDone, Reverted, WriteRefusedError
 from retuner.drivers.host.lease_and_commands import Probation
 
 
@@ -33,16 +33,6 @@ def test_a_host_confirms_what_it_has_seen_running(make_bench) -> None:
     assert bench.device.running.gains == bench.SECOND
     bench.host.store(bench.now_s)
     assert CommandDone("store") in bench.run(3)
-
-
-def test_a_host_that_dies_after_the_commit_leaves_the_old_set_behind(make_bench) -> None:
-    bench = make_bench(trial_samples=15)
-    bench.run(5)
-    bench.host.begin_write(bench.SECOND, bench.now_s)
-    assert any(isinstance(e, WriteDone) for e in bench.run(4))
-    for _ in range(20):
-        bench.device.step()
-    assert bench.device.running.gains == bench.FIRST
 
 
 def test_a_host_that_comes_back_too_late_is_told(make_bench) -> None:

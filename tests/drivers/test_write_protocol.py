@@ -122,16 +122,6 @@ def test_only_the_read_back_decides() -> None:
         assert not protocol.busy
 
 
-def test_a_silent_device_is_asked_for_ever_and_called_unknown_once() -> None:
-    protocol = started()
-    unknown = []
-    for t in range(0, 600, 2):
-        protocol.due(float(t), owned=True)
-        unknown.append(protocol.unknown())
-    assert protocol.phase is WritePhase.FENCING
-    assert sum(u is not None for u in unknown) == 1
-
-
 INPUTS = st.one_of(
     st.builds(Ack, st.sampled_from(list(Kind)), st.sampled_from([6, 7, 8]), st.sampled_from(list(Reason)), st.just(7)),
     st.builds(

@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from retuner.schedule.gains import PidGains
-from retuner.schedule.pid import PidState, law, step
 from retuner.schedule.regions import Regions, RegionState, choose, enter
 from retuner.schedule.table import GainTable, Lookup
 
@@ -78,20 +77,6 @@ def test_every_region_can_be_entered_from_both_sides(regions):
             assert walk(regions, [start, regions.centre(i)])[-1].region == i
 
 
-@pytest.mark.parametrize("t_s", [math.nan, math.inf, -math.inf, -100.0])
-def test_time_that_is_none_or_runs_back_holds_the_region(t_s):
-    law = OVEN.law()
-    state = enter(law, 100.0, 0.0)
-
-    assert choose(law, state, 200.0, t_s) is state
-
-
-@pytest.mark.parametrize(("x", "t_s"), [(math.nan, 0.0), (math.inf, 0.0), (50.0, math.nan)])
-def test_a_first_region_needs_numbers(x, t_s):
-    with pytest.raises(ValueError, match="must be finite"):
-        enter(OVEN.law(), x, t_s)
-
-
 def test_spans_and_centres():
     assert [OVEN.span(i) for i in range(3)] == [(20.0, 80.0), (80.0, 150.0), (150.0, 220.0)]
     assert [OVEN.centre(i) for i in range(3)] == [50.0, 115.0, 185.0]
@@ -139,12 +124,6 @@ sizes = st.floats(0.0, 1e6)
 some_gains = st.builds(PidGains, st.floats(1e-6, 1e6), sizes, sizes)
 
 
-def test_hard_lookup_is_the_region_wherever_x_is():
-    for i, gains in enumerate(GAINS):
-        for x in (-1e9, 50.0, 115.0, 1e9):
-            assert HARD.at(i, x) is gains
-
-
 def test_interpolated_at_and_beyond_the_knots():
     for region in range(3):
         for x, gains in zip(
@@ -167,33 +146,10 @@ def test_interpolated_gains_are_the_exact_weighted_mean(one, two, x, sign):
         assert abs(Fraction(mean) - exact) <= 4 * Fraction(rounding)
 
 
-@settings(deadline=None)
-@given(some_gains, some_gains, st.floats(50.0, 115.0), st.floats(-100, 100), st.floats(-100, 100))
-def test_the_interpolated_controller_is_the_weighted_mean_of_its_corners(one, two, x, sp, pv):
-    table = replace(SMOOTH, gains=(one, two, two))
-    state = PidState(0.0, pv - 1.0, 0.5, 0.0, 0)
-
-    def after(gains: PidGains) -> tuple[float, float]:
-        new, co = step(law(gains, b=0.7, tau_f_s=2.0, co_min=-1e30, co_max=1e30), state, sp, pv, 1.0)
-        return co, new[0]
-
-    w = (x - 50.0) / 65.0
-    scale = max(abs(v) for g in (one, two) for v in (g.kp, g.ki, g.kd)) * 1e3
-    for mean, a, b in zip(after(table.at(0, x)), after(one), after(two), strict=True):
-        assert mean == pytest.approx((1 - w) * a + w * b, abs=1e-14 * scale)
-
-
 def test_a_single_region_interpolates_to_itself():
     table = GainTable("x", Regions("sp", "", ("all",), 0.0, (), 1.0), GAINS[:1], Lookup.INTERPOLATED)
 
     assert {table.at(0, x) for x in (-1.0, 0.5, 2.0)} == {GAINS[0]}
-
-
-@pytest.mark.parametrize("table", [HARD, SMOOTH])
-@pytest.mark.parametrize("x", [math.nan, math.inf, -math.inf])
-def test_a_failed_sensor_is_refused(table, x):
-    with pytest.raises(ValueError, match=r"pv = .* is not a finite number; keep the active gains"):
-        table.at(1, x)
 
 
 def test_a_change_is_a_new_revision_and_leaves_the_old_one():
