@@ -42,7 +42,7 @@ import numpy as np
 import numpy.typing as npt
 
 from retuner.adaptive.decision_numbers import Numbers
-from retuner.adaptive.declared_setting import setting
+from retuner.adaptive.declared_setting import require_in_range, setting
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.signals.response import Ending, Response
@@ -221,7 +221,7 @@ class PatternSettings:
     undying : damping above which a swing may be a valve's or another loop's; default 0.85.
     alone : nothing else looks for such causes: act on an undying swing, too; default no. For comparisons.
 
-    Raises ValueError: a number is not finite and positive, or a factor is below 1.
+    Raises ValueError: a number is outside its range, not finite and positive, or a factor below 1.
     """
 
     overshoot_target: float = setting(
@@ -281,13 +281,13 @@ class PatternSettings:
         return min(self.careful, self.step_up)
 
     def __post_init__(self) -> None:
+        require_in_range(self, "pattern rule")
         for field in fields(self):
             value = getattr(self, field.name)
             if field.name != "alone" and not 0 < value < math.inf:
                 raise ValueError(f"{field.name} = {value} must be positive and finite")
-        for name in ("step_up", "step_down", "urgent_step", "careful"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} = {getattr(self, name)} is a factor of at least 1")
+        if min(self.urgent_step, self.careful) < 1:
+            raise ValueError(f"urgent_step = {self.urgent_step}, careful = {self.careful}: factors of at least 1")
 
 
 class PatternReading(StrEnum):

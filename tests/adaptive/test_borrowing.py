@@ -104,8 +104,3 @@ def test_the_first_record_of_the_region_agrees_or_stands_alone(loop: Callable) -
     alone = update_region_model(ask({0: known(200.0, 1e-6)}), window, GAINS, STILL, FitSettings())
     assert alone.agreement == Agreement.FIRST
     assert alone.region_model.log.model().k == pytest.approx(1.0, rel=0.05)
-
-
-def test_settings_that_lend_nothing_are_refused() -> None:
-    with pytest.raises(ValueError, match="most_lead"):
-        BorrowingSettings(most_lead=-1.0)

@@ -118,15 +118,6 @@ def run_later(bench: Bench, later: int) -> list[Decision]:
 
 @pytest.mark.slow
 @pytest.mark.uncounted
-def test_the_same_delay_repeats_the_same_decisions() -> None:
-    first, again = (run_later(made(scaled(2.4, 2.4)), 20) for _ in range(2))
-    assert [d.canonical() for d in first] == [d.canonical() for d in again]
-    assert len(first) >= 3
-    assert all(d.delay is not None and d.delay.entered == d.delay.raised + 20 for d in first)
-
-
-@pytest.mark.slow
-@pytest.mark.uncounted
 def test_no_delay_is_observe() -> None:
     bench = made(scaled(2.4, 2.4))
     at_once = [d for sp, load in ((0, 0), (1, 0), (1, 0.5), (0, 0)) for d in bench.run(500, sp, load)]

@@ -1,7 +1,5 @@
 """A retuner that nothing waits for: the same decisions, later; and decisions of numpy's numbers."""
 
-import json
-
 import numpy as np
 import pytest
 
@@ -92,12 +90,3 @@ def test_its_own_worker_ends_with_it() -> None:
         assert not watcher.deciding
     with pytest.raises(ValueError, match="deadline_s = 0"):
         BackgroundRetuner(made(), deadline_s=0)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("number", [np.float64, np.float32])
-def test_gains_and_samples_in_numpys_numbers_are_told_in_plain_ones(number: type) -> None:
-    watcher = made(number)
-    found = [decision for sample in samples(number) if (decision := watcher.observe(sample)) is not None]
-    assert found
-    assert all(json.loads(decision.canonical())["loop"] == "level" for decision in found)

@@ -62,12 +62,3 @@ def test_nearly_all_pairs_of_upsets_are_refused(all_heard: list[PatternAdvice]) 
     assert len(all_heard) >= len(PROCESSES) * len(SECOND) * len(GAPS_THETA)
     fooled = [advice for advice in all_heard if advice.reading in MOVING]
     assert len(fooled) <= 0.15 * len(PROCESSES) * len(SECOND) * len(GAPS_THETA)
-
-
-def test_whom_they_fool_takes_one_clamped_step_to_the_safe_side(all_heard: list[PatternAdvice]) -> None:
-    limit = PatternSettings().step_down
-    for advice in all_heard:
-        if advice.reading in MOVING:
-            kc, tau_i = advice.numbers.kc_factor, advice.numbers.tau_i_factor
-            assert 1 / limit <= kc * (1 + 1e-9)
-            assert kc <= 1 <= tau_i <= limit * (1 + 1e-9)
