@@ -42,11 +42,13 @@ import numpy as np
 
 from retuner.adaptive.explanations.process_grid import (
     DEAD_TIMES,
+    EVERY_LAG,
     GAINS,
     LAGS,
     BoolArray,
     ComplexArray,
     second_lags,
+    shapes,
     units,
 )
 from retuner.adaptive.fit.engine import compiled
@@ -68,6 +70,8 @@ process takes the place of a bandwidth that is missing."""
 BEHIND_LAGS = (*((one, VALUE) for one in FINE), *((one, SLOPE) for one in BANDWIDTHS[1:-1]))
 LOADS_OF_BOOK = (*BEHIND_LAGS, *((bandwidth, AT_PV) for bandwidth in BANDWIDTHS[1:]))
 """Loads that the book has for every process, and all that it has for those that do not run away by themselves."""
+FINITE = tuple(sorted({*FINE, *BANDWIDTHS[:-1]} - {math.inf}))
+"""All of them under which there is noise."""
 ORDERS = (VALUE, SLOPE, AT_PV)
 """As they stand in the loads of the book."""
 TEMPER = 6.0
@@ -98,23 +102,50 @@ def load_model(lag: float, bandwidth: float, order: int, second: float = 0.0) ->
 
 @cache
 def load_models(lag: float, bandwidths: tuple[float, ...], order: int, second: float = 0.0) -> tuple[LoadModel, ...]:
-    """Load models for several bandwidths: their polynomials are factored in one call."""
-    roots = (1.0,) if order == AT_PV else (_pole(lag), *((_pole(second),) if second else ()), *(1.0,) * order)
-    a, degree = np.poly(roots), len(roots)
-    tried = np.array([bandwidth for bandwidth in bandwidths if math.isfinite(bandwidth)])
-    both = np.tile(np.convolve(a, a[::-1]), (len(tried), 1))
-    both[:, degree] += np.abs(np.polyval(a[::-1], np.exp(-1j * tried))) ** 2
-    companions = np.tile(np.eye(2 * degree, k=-1), (len(tried), 1, 1))
-    companions[:, 0] = -both[:, 1:] / both[:, :1]
+    """Load models for several bandwidths."""
+    roots = _roots(lag, order, second)
+    found = _of_grid(len(roots)).get(roots, {})
+    if not found.keys() >= set(bandwidths):
+        found = _factored((roots,), tuple(one for one in bandwidths if math.isfinite(one)))[roots]
+    return tuple(found[bandwidth] for bandwidth in bandwidths)
+
+
+def _roots(lag: float, order: int, second: float) -> tuple[float, ...]:
+    return (1.0,) if order == AT_PV else (_pole(lag), *((_pole(second),) if second else ()), *(1.0,) * order)
+
+
+@cache
+def _of_grid(degree: int) -> dict[tuple[float, ...], dict[float, LoadModel]]:
+    """Those of every process of the grid whose A has this degree."""
+    asked = ((one.lag, order, one.second * (order == VALUE)) for one in shapes(EVERY_LAG) for order in ORDERS)
+    return _factored(tuple({roots: None for one in asked if len(roots := _roots(*one)) == degree}), FINITE)
+
+
+def _factored(
+    each: tuple[tuple[float, ...], ...], bandwidths: tuple[float, ...]
+) -> dict[tuple[float, ...], dict[float, LoadModel]]:
+    """Load models for roots each, of one number, by bandwidth: their polynomials are factored in one call."""
+    degree, tried = len(each[0]), np.array(bandwidths)
+    both = np.empty((len(each), len(tried), 2 * degree + 1))
+    for row, roots in zip(both, each, strict=True):
+        a = np.poly(roots)
+        row[:] = np.convolve(a, a[::-1])
+        row[:, degree] += np.abs(np.polyval(a[::-1], np.exp(-1j * tried))) ** 2
+    companions = np.tile(np.eye(2 * degree, k=-1), (len(each), len(tried), 1, 1))
+    companions[:, :, 0] = -both[..., 1:] / both[..., :1]
     found = np.linalg.eigvals(companions)
-    inside = np.take_along_axis(found, np.argsort(np.abs(found), axis=1)[:, :degree], axis=1)
-    c = np.zeros((len(tried), degree + 1), dtype=np.complex128)
-    c[:, 0] = 1.0
+    inside = np.take_along_axis(found, np.argsort(np.abs(found), axis=-1)[..., :degree], axis=-1)
+    c = np.zeros((len(each), len(tried), degree + 1), dtype=np.complex128)
+    c[..., 0] = 1.0
     for k in range(degree):
-        c[:, 1:] -= inside[:, k : k + 1] * c[:, :-1]
-    models = iter(LoadModel(roots, tuple(row)) for row in c.real.tolist())
-    without = LoadModel(roots, (1.0,) + (0.0,) * degree)
-    return tuple(next(models) if math.isfinite(bandwidth) else without for bandwidth in bandwidths)
+        c[..., 1:] -= inside[..., k : k + 1] * c[..., :-1]
+    without = (1.0,) + (0.0,) * degree
+    return {
+        roots: {
+            b: LoadModel(roots, tuple(row)) for b, row in zip((*bandwidths, math.inf), (*rows, without), strict=True)
+        }
+        for roots, rows in zip(each, c.real.tolist(), strict=True)
+    }
 
 
 def _pole(lag: float) -> float:
