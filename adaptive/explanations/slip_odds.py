@@ -22,6 +22,7 @@ load under a fast loop looks like a valve here: pv is a square under a triangle 
 import math
 from collections.abc import Iterator, Sequence
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 
@@ -94,8 +95,8 @@ def log_odds_of_slips(record: Prepared, direction: int) -> float:
     slips = min(trials, key=lambda trial: trial.cost, default=None)
     if slips is None:
         return -math.inf
-    position, price = _placed(co, slips.at)
-    told = _through(record, direction, position, DEAD_TIMES) - price
+    (position,), (price,) = _placed(co, [slips.at])
+    told = _through(record, direction, position, DEAD_TIMES) - float(price)
     if told <= by_co:
         return -math.inf
     return (told - max(by_co, _jumping(record))) / TEMPER
@@ -169,35 +170,42 @@ def _jumping(record: Prepared) -> float:
     return max(told(moved, *one, dead) for one in closer for moved in behind[one[0]] for dead in EVERY)
 
 
-def _placed(co: Co, slips: Slips) -> tuple[FloatArray, float]:
-    """Where the valve is, from its first value, and the price of its slips as in the head of this file."""
-    u, rows, position = co.u, np.array(slips.rows), co.position(slips)
-    n, least = len(u), LEAST * float(np.ptp(u))
-    before = position[rows - 1]
+def _placed(co: Co, each: Sequence[Slips]) -> tuple[FloatArray, FloatArray]:
+    """Where the valve is with slips each, from its first value, shape (slips, n); and their prices as in the head of
+    this file.
+    """
+    u, n, position = co.u, len(co.u), co.positions(each)
+    least, many = LEAST * float(np.ptp(u)), [len(slips.rows) for slips in each]
+    of, rows = np.repeat(np.arange(len(each)), many), np.concatenate([slips.rows for slips in each])
+    before = position[of, rows - 1]
     bands = np.log(np.maximum(np.abs(u[rows] - before), least))
-    middle = sorted(bands.tolist())[len(bands) // 2]
-    apart = bands - middle
-    scatter = max(math.sqrt(float(apart @ apart) / len(bands)), EVEN)
-    # rows of its stand, and those from the slip to the next one
-    counts = np.diff(rows, prepend=0, append=n)
-    stood = np.repeat(np.concatenate([before, before]), np.concatenate([counts[:-1], counts[1:]]))
-    away = np.abs(np.concatenate([u[: rows[-1]], u[rows[0] :]]) - stood)
-    z = (np.log(np.maximum(away, least)) - middle) / scatter
-    might = np.add.reduceat(np.exp(-0.5 * z * z), np.concatenate([rows - counts[:-1], rows - rows[0] + rows[-1]]))
-    might = might[: len(rows)] + might[len(rows) :]
-    own = float(apart @ apart) / (2.0 * scatter**2)
-    return position - position[0], float(np.sum(np.log(might))) + own + OWN_NUMBERS / 2.0 * math.log(n)
+    ends = list(pairwise(np.cumsum([0, *many]).tolist()))
+    middles = np.array([sorted(bands[a:b].tolist())[(b - a) // 2] for a, b in ends])
+    apart = bands - middles[of]
+    squares = np.array([float(apart[a:b] @ apart[a:b]) for a, b in ends])
+    scatters = np.maximum(np.sqrt(squares / many), EVEN)
+    # rows of each slip's stand, and those from it to the next one
+    firsts, lasts = [0, *(first for first, _ in ends[1:])], [last - 1 for _, last in ends]
+    since, until = np.append(0, rows[:-1]), np.append(rows[1:], n)
+    since[firsts], until[lasts] = 0, n
+    counts = until - since
+    begun = np.append(0, np.cumsum(counts)[:-1])
+    away = np.abs(u[np.arange(counts.sum()) - np.repeat(begun - since, counts)] - np.repeat(before, counts))
+    z = (np.log(np.maximum(away, least)) - np.repeat(middles[of], counts)) / np.repeat(scatters[of], counts)
+    might = np.add.reduceat(np.exp(-0.5 * z * z), np.column_stack([begun, begun + rows - since]).ravel())
+    might = np.log(might[::2] + might[1::2])
+    times = np.array([float(np.sum(might[a:b])) for a, b in ends])
+    return position - position[:, :1], times + squares / (2.0 * scatters**2) + OWN_NUMBERS / 2.0 * math.log(n)
 
 
 def _costs(
     record: Prepared, direction: int, co: Co, lag: float, load: tuple[float, int], each: Sequence[Slips]
 ) -> FloatArray:
     """What slips behind one first lag under one load tell, with the sign turned and their price added."""
-    placed = [_placed(co, slips) for slips in each]
-    if not placed:
+    if not each:
         return np.zeros(0)
-    told = _told(record, direction, np.array([one for one, _ in placed]), lag, (load,), DEAD_TIMES)[0]
-    return np.asarray([price for _, price in placed] - told)
+    moved, prices = _placed(co, each)
+    return np.asarray(prices - _told(record, direction, moved, lag, (load,), DEAD_TIMES)[0])
 
 
 def _steps_seen(record: Prepared) -> tuple[list[list[int]], float]:
@@ -229,8 +237,7 @@ def _starts(record: Prepared, direction: int, co: Co, seen: list[list[int]]) -> 
     )
     if not each:
         return
-    placed = [_placed(co, slips) for slips in each]
-    moved, prices = np.array([one for one, _ in placed]), np.array([price for _, price in placed])
+    moved, prices = _placed(co, list(each))
     behind = [(lag, load) for lag in LAGS for load in STEPPING]
     told = np.concatenate([_told(record, direction, moved, lag, STEPPING, DEAD_TIMES) for lag in LAGS]) - prices
     taken: set[tuple[int, ...]] = set()

@@ -19,6 +19,7 @@ helps.
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -95,19 +96,26 @@ class Co:
 
     def __init__(self, u: FloatArray) -> None:
         self.u = u
-        self._stops = {way: _stops(way * np.diff(u)) for way in (1, -1)}
+        self._stops: dict[int, list[int]] = {way: _stops(way * np.diff(u)).tolist() for way in (1, -1)}
+
+    def positions(self, each: Sequence[Slips]) -> FloatArray:
+        """Where the valve is with slips each, shape (slips, n)."""
+        u, parts = self.u.tolist(), list[tuple[int, float, bool]]()
+        for slips in each:
+            y, rows = slips.first, (*slips.rows, len(u))
+            parts.append((rows[0], y, False))
+            for at, until in pairwise(rows):
+                apart = u[at] - y
+                stop = min(self._stops[1 if apart > 0 else -1][at], until)
+                y = u[stop - 1] - slips.share * apart
+                parts += ((stop - at, -slips.share * apart, True), (until - stop, y, False))
+        counts, held, moving = zip(*parts, strict=True)
+        u_there = np.where(np.repeat(moving, counts).reshape(-1, len(u)), self.u, 0.0)
+        return np.asarray(u_there + np.repeat(held, counts).reshape(-1, len(u)))
 
     def position(self, slips: Slips) -> FloatArray:
         """Where the valve is, shape (n,)."""
-        u, y = self.u, slips.first
-        out = np.full(len(u), y)
-        for at, until in zip(slips.rows, (*slips.rows, len(u))[1:], strict=True):
-            apart = float(u[at]) - y
-            stop = min(int(self._stops[1 if apart > 0 else -1][at]), until)
-            out[at:stop] = u[at:stop] - slips.share * apart
-            y = float(out[stop - 1])
-            out[stop:until] = y
-        return out
+        return np.asarray(self.positions([slips])[0])
 
     def turns(self) -> list[int]:
         """Rows at which it turns round, and then goes back by more than its noise and a share of its range."""
@@ -250,7 +258,7 @@ def explained_by(misfit: Misfit, p: FloatArray, co: Co, each: Sequence[Slips]) -
     """Gain of what each moves, in units of p's, and what it leaves; lags and dead time held."""
     engine = compiled()
     if engine is None:
-        return list(with_best_gain(misfit, p, map(co.position, each)))
+        return list(with_best_gain(misfit, p, co.positions(each)))
     found: list[tuple[float, float]] = engine.slip_costs(misfit, p, [(s.rows, s.share, s.first) for s in each])
     return found
 
