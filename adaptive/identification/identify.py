@@ -163,18 +163,15 @@ def fitted(
     for name, values in (("co", window.co), ("pv", window.pv)):
         if np.ptp(values) == 0:
             raise ValueError(f"{name} stays at {values[0]:g} in the whole record: nothing to identify from")
-    signals = (window.t_s, window.sp, window.pv, window.co)
-    record = tuple(np.asarray(values, dtype=np.float64).tobytes() for values in signals)
-    return list(_fitted(record, window.noise_std, signs, settings, barred_s, samples))
+    return list(_fitted(window.content, signs, settings, barred_s, samples))
 
 
 @lru_cache(maxsize=16)  # a record is asked for twice, to identify and to diagnose it; its parts alone and joined
 def _fitted(
-    record: tuple[bytes, ...], noise_std: float, signs: tuple[int, ...], settings: FitSettings,
+    content: tuple[tuple[bytes, ...], float], signs: tuple[int, ...], settings: FitSettings,
     barred_s: tuple[float, ...], samples: int | None,
 ) -> list[Candidate]:  # fmt: skip
-    t_s, sp, pv, co = map(np.frombuffer, record)
-    window = Window(t_s, sp, pv, co, noise_std)
+    window = Window.holding(content)
     found = candidates(window, signs, settings.choice, samples or settings.most_samples, barred_s)
     most = None if samples else _samples_that_show(window, found[0], settings.most_samples)
     return found if most is None else candidates(window, signs, settings.choice, most)

@@ -10,7 +10,7 @@ remainder whitened, which is what makes the estimate unbiased in closed loop and
 
 import math
 from collections.abc import Sequence
-from functools import partial
+from functools import lru_cache, partial
 from itertools import pairwise
 
 import numpy as np
@@ -108,9 +108,7 @@ def candidates(
     """
     if short := too_few(window):
         raise ValueError(short)
-    record = replace(Record.of(window, settings.most_samples), barred_s=barred_s)
-    fits = [fit for sign in signs for fit in _structures(record, sign, settings)]
-    rivals = sorted((judged(fit) for fit in fits), key=lambda c: c.criterion)
+    rivals = sorted(_rivals(window, signs, settings, barred_s), key=lambda c: c.criterion)
     seen = CandidateList(rivals)
     for seed in _seeds(rivals):
         improved(seed, settings.most_loads, seen)
@@ -120,7 +118,7 @@ def candidates(
             seen.add(improved(found, settings.most_loads, seen, RELATIVE_MOVES))
         winner = seen.best()
     if THIRD in settings.further and settings.most_loads and _far(winner):
-        _from_parts(window, record, signs, settings, seen)
+        _from_parts(window, signs, settings, seen)
         winner = seen.best()
     if asked_for(winner) and not np.any(np.diff(window.sp)):
         few = [c for c in rivals if c.fit.misfit.loads < 2]  # two steps that stand for a ramp bend the process most
@@ -168,15 +166,14 @@ PARTS = 3
 """Parts of a record whose own processes are starts for the whole."""
 
 
-def _from_parts(
-    window: Window, record: Record, signs: tuple[int, ...], settings: StructureSettings, seen: CandidateList
-) -> None:
+def _from_parts(window: Window, signs: tuple[int, ...], settings: StructureSettings, seen: CandidateList) -> None:
     """Notes the better explanations that begin with the process of a part and the loads of the whole record.
 
     A part has few loads, so its search finds the process; with several sharp loads the search of the whole, which
     places them on a grid, ends in a local optimum. A worse explanation that begins so is no rival, and is not noted.
     """
     fit = seen.best().fit
+    record = fit.misfit.record
     if fit.misfit.loads < 2 and np.std(record.pv - fit.explained) <= WIDER_SEARCH_RATIO * record.noise_std:
         return  # one load that leaves next to the noise alone is where it belongs
     edges = np.linspace(0, len(window.t_s), PARTS + 1).round().astype(int).tolist()
@@ -184,9 +181,7 @@ def _from_parts(
         part = window.part(slice(first, end))
         if np.ptp(part.pv) == 0 or np.ptp(part.co) == 0 or too_few(part):
             continue
-        small = Record.of(part, settings.most_samples)
-        fits = [judged(fit) for sign in signs for fit in _structures(small, sign, settings)]
-        lags = [one for one in fits if one.fit.misfit.type in LAG]
+        lags = [one for one in _rivals(part, signs, settings) if one.fit.misfit.type in LAG]
         if lags:
             best = min(lags, key=lambda c: c.criterion).fit
             bare = replace(best.misfit, record=record, loads=0, ramp=False, ar=(), sigma=record.noise_std)
@@ -219,13 +214,27 @@ def _loads_first(rivals: list[Candidate], most_loads: int) -> list[Candidate]:
     return found
 
 
-def _structures(record: Record, sign: int, settings: StructureSettings) -> list[Fit]:
-    """Every structure with 0, 1, ... seeded loads."""
+def _rivals(
+    window: Window, signs: tuple[int, ...], settings: StructureSettings, barred_s: tuple[float, ...] = ()
+) -> list[Candidate]:
+    """Every structure with 0, 1, ... seeded loads, judged by what it leaves."""
+    plain = replace(settings, most_loads=0, most_order=0, further=())
+    found = _structures(window.content, signs, plain, barred_s)
+    return [judged(replace(fit, misfit=replace(fit.misfit, most_order=settings.most_order))) for fit in found]
 
+
+@lru_cache(maxsize=16)  # a record is looked at by identification and by diagnosis, which judge by filters of their own
+def _structures(
+    content: tuple[tuple[bytes, ...], float], signs: tuple[int, ...], settings: StructureSettings,
+    barred_s: tuple[float, ...],
+) -> list[Fit]:  # fmt: skip
+    record = replace(Record.of(Window.holding(content), settings.most_samples), barred_s=barred_s)
+    return [fit for sign in signs for fit in _of_sign(record, sign, settings)]
+
+
+def _of_sign(record: Record, sign: int, settings: StructureSettings) -> list[Fit]:
     def misfit(type_: ProcessType, loads: int) -> Misfit:
-        return Misfit(
-            record, type_, sign, loads, record.noise_std, settings.start_spread, most_order=settings.most_order
-        )
+        return Misfit(record, type_, sign, loads, record.noise_std, settings.start_spread)
 
     seeds = starts(misfit(FIRST, 0), settings.seeded_loads, settings.starts)
     slopes = starts(misfit(INTEGRATING, 0), settings.seeded_loads, 1)

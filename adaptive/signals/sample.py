@@ -113,6 +113,18 @@ class Window:
             i = int(np.argmin(later))
             raise ValueError(f"time does not increase: t_s[{i}] = {self.t_s[i]}, t_s[{i + 1}] = {self.t_s[i + 1]}")
 
+    @property
+    def content(self) -> tuple[tuple[bytes, ...], float]:
+        """Its numbers, the same for windows that are alike: what is found in one is kept under them."""
+        signals = (self.t_s, self.sp, self.pv, self.co)
+        return tuple(np.asarray(one, dtype=np.float64).tobytes() for one in signals), self.noise_std
+
+    @classmethod
+    def holding(cls, content: tuple[tuple[bytes, ...], float]) -> "Window":
+        """The window of a content."""
+        t_s, sp, pv, co = map(np.frombuffer, content[0])
+        return cls(t_s, sp, pv, co, content[1])
+
     @classmethod
     def of(cls, samples: list[LoopSample]) -> "Window":
         """Collect samples into a window."""
