@@ -166,10 +166,12 @@ def diagnose_windows(
     gains: PidGains | None = None,
     co_min: float | None = None,
     co_max: float | None = None,
+    cause_only: bool = False,
 ) -> RecordDiagnosis:
     """The diagnosis of several records of one loop with one controller: each adds to the odds.
 
-    Where no gains are given, those of the newest record that shows any are taken for all.
+    Where no gains are given, those of the newest record that shows any are taken for all. cause_only : what settings
+    would gain is not worked out.
     """
     windows = [within(window, co_min, co_max) for window in windows]
     direction = rough = None
@@ -182,7 +184,7 @@ def diagnose_windows(
     if worth is not None:
         now = TuneResult.on(worth.tuning, worth.models[0])
     settings = now.gains if now is not None and found.diagnosis.retune else None
-    saved = _saved(windows[told.record], told, settings, gains, (co_min, co_max))
+    saved = None if cause_only else _saved(windows[told.record], told, settings, gains, (co_min, co_max))
     return RecordDiagnosis(
         with_gain(found.diagnosis, saved),
         found.estimate,

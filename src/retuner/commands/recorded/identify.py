@@ -56,9 +56,10 @@ def identify(options: IdentifyOptions) -> int:
         )
         said, told = None, []  # nothing is diagnosed in manual
         if not options.open_loop:
-            result = diagnosed([recording.window()], gains, options.co_min, options.co_max)
+            known = found.estimate.identifiable
+            result = diagnosed([recording.window()], gains, (options.co_min, options.co_max), cause_only=known)
             other = other_cause(result.diagnosis)
-            if not found.estimate.identifiable:
+            if not known:
                 said, told = result.to_dict(), weighed(result)
             elif other is not None:
                 said, told = other.to_dict(), contradiction(other)

@@ -13,11 +13,11 @@ from retuner.schedule.gains import PidGains
 
 
 def diagnosed(
-    windows: Sequence[Window], gains: PidGains | None, co_min: float | None, co_max: float | None
+    windows: Sequence[Window], gains: PidGains | None, limits: tuple[float | None, float | None], *, cause_only: bool
 ) -> RecordDiagnosis:
-    """What diagnose says of the same records."""
+    """What diagnose says of the same records; cause_only : see diagnose_windows."""
     days = [day for window in windows for day in days_of(window)]
-    return diagnose_windows(days, gains=gains, co_min=co_min, co_max=co_max)
+    return diagnose_windows(days, gains=gains, co_min=limits[0], co_max=limits[1], cause_only=cause_only)
 
 
 def other_cause(told: Diagnosis) -> Diagnosis | None:

@@ -154,7 +154,7 @@ def _written(found: ScheduleDesign, windows: list[Window], options: ScheduleOpti
 
 def _other(windows: list[Window], options: ScheduleOptions) -> Diagnosis | None:
     """What diagnose says of the records, where no gains cure it: a gain along pv is what a schedule is for."""
-    told = other_cause(diagnosed(windows, None, options.co_min, options.co_max).diagnosis)
+    told = other_cause(diagnosed(windows, None, (options.co_min, options.co_max), cause_only=True).diagnosis)
     return None if told is None or told.cause in {Cause.NONLINEAR, Cause.UNKNOWN} else told
 
 
