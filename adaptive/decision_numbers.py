@@ -41,8 +41,6 @@ class Basis(StrEnum):
     """What a proposal rests on."""
 
     MODEL = "model"
-    SLOW_OSCILLATION = "slow_oscillation"
-    PATTERN = "pattern"
     BORROWED = "borrowed"
     PRETUNE = "pretune"
     ALL_SAMPLES = "all_samples"
