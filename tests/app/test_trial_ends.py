@@ -96,23 +96,6 @@ def test_a_tried_set_that_cannot_be_replaced_elsewhere_is_given_up_and_told(make
     assert wire.session.table.gains == (GOOD, OTHER)
 
 
-def test_two_interrupts_at_once_leave_no_trial_untold(make_wire: Callable[..., Wire]) -> None:
-    wire, left = on_trial(make_wire()), [2]
-
-    def once() -> None:
-        if left[0]:
-            left[0] -= 1
-            raise KeyboardInterrupt
-        wire.run(1)
-
-    with pytest.raises(KeyboardInterrupt):
-        to_the_end(wire.session, once)
-    assert wire.runs == to_wire(NEW)
-    assert wire.kinds[-1] == "unrestored"
-    assert wire.rows[-1][1]["regions"] == ["low"]
-    assert wire.session.left_open
-
-
 def test_what_is_decided_when_the_end_has_begun_is_taken_back_as_well(make_wire: Callable[..., Wire]) -> None:
     wire = make_wire()
     wire.session.freeze("the disk is full")

@@ -326,6 +326,10 @@ def test_ctrl_c_takes_the_change_back_first_and_a_second_one_does_not_wait(make_
         with pytest.raises(KeyboardInterrupt):
             to_the_end(wire.session, once)
         assert wire.runs == to_wire(ends_on)
+        if times > 1:  # and the trial is told as open
+            assert wire.kinds[-1] == "unrestored"
+            assert wire.rows[-1][1]["regions"] == ["low"]
+            assert wire.session.left_open
 
 
 TURNED = (P.IDLE, P.WRITING, P.TRIAL, P.RESTORING)

@@ -51,23 +51,6 @@ def test_tune_reads_well(capsys: Capture) -> None:
     assert "Ms 1.5" in shown
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--type", "magic", "--k", "1"], "--type magic: give one of fopdt"),
-        (["--type", "fopdt", "--k", "nan", "--tau1", "1", "--theta", "1"], "k = nan"),
-        (["--type", "fopdt", "--k", "1", "--tau1", "1"], "give tau_c"),
-        (["--type", "fopdt", "--k", "1", "--tau1", "-1", "--theta", "1"], "negative"),
-        (["--type", "fopdt", "--k", "1", "--tau1", "1", "--theta", "1", "--rule", "voodoo"], "simc"),
-        (["--type", "fopdt", "--k", "1", "--tau1", "1", "--theta", "1", "--form", "cubic"], "cubic"),
-        (["--type", "delay", "--k", "1", "--tau1", "1", "--theta", "1"], "has no tau1"),
-        (["--type", "fopdt", "--k", "1", "--tau1", "1", "--theta", "1", "--inverse", "-3"], "--inverse -3: "),
-    ],
-)
-def test_tune_refuses_in_one_line(capsys: Capture, arguments: list[str], message: str) -> None:
-    assert message in refused(capsys, "tune", *arguments)
-
-
 @pytest.mark.parametrize("command", ["identify", "diagnose"])
 def test_a_form_that_there_is_not_is_refused_also_where_no_gains_are_given(capsys: Capture, command: str) -> None:
     assert "--form cubic: give one of series" in refused(capsys, command, str(HEATER), "--open-loop", "--form", "cubic")

@@ -183,32 +183,6 @@ def test_what_the_device_refuses_ends_on_the_old_set_read_back(make_bench, gains
     assert isinstance(bench.others(bench.run(10))[0], WriteDone)
 
 
-@pytest.mark.parametrize(
-    ("kinds", "to_host", "done"),
-    [
-        ((frames.Commit,), False, False),  # the commit is lost: fenced off, the old set runs
-        ((frames.Ack,), True, None),  # every acknowledge is lost: unknown until the link heals
-        ((frames.Stage,), False, False),
-        ((frames.PageItem,), True, None),
-    ],
-)
-def test_a_write_over_a_broken_link_ends_in_the_truth(bench, kinds, to_host: bool, done: bool | None) -> None:
-    heal = drop(bench, kinds, to_host=to_host)
-    seq = bench.host.begin_write(bench.SECOND, bench.now_s)
-    events = bench.run(40)
-    if done is None:
-        assert any(isinstance(e, WriteUnknown) and e.seq == seq for e in events)
-        assert bench.host.writing
-    heal()
-    events += bench.run(20)
-
-    (outcome,) = [e for e in events if isinstance(e, (WriteDone, WriteFailed))]
-    assert isinstance(outcome, WriteDone) == (bench.device.running.seq == seq)
-    assert outcome.running.gains == bench.device.running.gains
-    assert not bench.host.writing
-    assert sum(isinstance(e, WriteUnknown) for e in events) <= 1
-
-
 def test_silence_makes_the_running_set_unknown_and_its_end_reads_it_again(bench) -> None:
     events = bench.silence(12)
     (silent,) = bench.others(events)
