@@ -162,6 +162,17 @@ def test_peaks_within_noise_do_not_speak_against_the_gains() -> None:
     assert judge(sure, PROMISE, GOOD, S).finding is TrialFinding.WORSE
 
 
+def test_what_was_seen_of_the_old_gains_counts_more_than_what_a_model_says_of_them() -> None:
+    """A model with five times the gain calls the good gains unstable and promises much of sluggish ones."""
+    wrong = Plausible(replace(MODEL, k=5 * MODEL.k), 0.0)
+    sluggish = PidGains(GOOD.kp / 5, GOOD.ki / 5)
+    lie = predict([wrong], GOOD, sluggish, 1.0)
+    seen = responses(Rig(sluggish), 2500, sp=5.0)[0]
+    assert judge(seen, lie, sluggish, S).finding is TrialFinding.WORSE
+    assert judge(seen, replace(lie, decay_seen=0.05), sluggish, S).finding is TrialFinding.WORSE
+    assert judge(seen, replace(lie, decay_seen=1.0), sluggish, S).finding is not TrialFinding.WORSE
+
+
 def test_decay_seen_is_that_of_a_whole_response_with_a_second_peak() -> None:
     seen = example().response
     assert decay_seen(seen) == pytest.approx(swing([peak.e for peak in seen.peaks], seen.band)[2])

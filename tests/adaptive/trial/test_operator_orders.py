@@ -110,6 +110,16 @@ def test_less_of_everything_is_not_held_to_the_limits_per_change() -> None:
     assert approve(Bench().retuner, mixed, 60.0).action is Action.NONE
 
 
+def test_what_is_known_now_decides_and_not_what_was_known() -> None:
+    bench = Bench(taught=True)
+    wild = replace(OFFERED, after=PidGains(SLOW.kp * 1.9, SLOW.ki * 30.0))
+    refused = approve(bench.retuner, wild, bench.t_s)
+    assert refused.action is Action.NONE
+    assert refused.gains_after is None
+    assert refused.code == "approval_refused"
+    assert bench.retuner.trials.phase(0) is P.IDLE
+
+
 def test_other_gains_or_no_promise_end_a_proposal() -> None:
     bench = Bench(GOOD)
     assert str(ProposalStanding.OTHER_GAINS) in approve(bench.retuner, OFFERED, 60.0).reason

@@ -73,6 +73,14 @@ def test_the_spread_holds_every_allowed_model_and_the_best_one_is_first() -> Non
     assert both.models == 2
 
 
+def test_more_models_than_needed_are_cut_to_the_likeliest() -> None:
+    models = [Plausible(ProcessModel(ProcessType.FOPDT, 2.0, 50.0 + i, 0.0, 5.0), float(i)) for i in range(40)]
+    gains = simc(FOPDT, 5.0).gains
+    assert predict(models, gains, gains).models == 16
+    with pytest.raises(ValueError, match="at least one model"):
+        predict([], gains, gains)
+
+
 @settings(max_examples=examples(15), deadline=None)
 @given(st.floats(0.01, 100), st.floats(0.02, 5), st.floats(0.2, 5))
 def test_a_promise_scales_with_time_and_gain(scale_s: float, theta: float, k: float) -> None:
