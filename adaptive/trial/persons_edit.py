@@ -1,6 +1,6 @@
 """What is said of gains that a person has set: what they are by what is known of the process, and for how long."""
 
-from retuner.adaptive.trial.rollback import Robustness, StillAllowed, models_words, robustness_words
+from retuner.adaptive.trial.rollback import StillAllowed, models_words, robustness, robustness_words
 from retuner.schedule.gains import PidGains
 
 NOT_TAKEN = (
@@ -42,9 +42,7 @@ def edit_words(ours: PidGains, now: PidGains, known: StillAllowed, hold_s: float
     words += "; the trial of these gains ended without a verdict" if on_trial else ""
     ms = known.ms(now)
     if ms:
-        found = Robustness.of(ms)
-        weighed = robustness_words(found.ms, found.unstable, len(ms))
-        words += f"; over {models_words(len(ms))}: {weighed}"
+        words += f"; over {models_words(len(ms))}: {robustness_words(*robustness(ms), len(ms))}"
     return f"{words}; held for {lasting_words(hold_s)}, in which changes are proposals for operator approval"
 
 

@@ -26,7 +26,7 @@ the tried set was proved keep the door: what they called unstable stays out.
 """
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from operator import mul
 from typing import NamedTuple
 
@@ -86,18 +86,10 @@ class StillAllowed(NamedTuple):
 NOTHING_KNOWN = StillAllowed()
 
 
-class Robustness(NamedTuple):
-    """Robustness of one set. unstable : on so many models. ms : greatest on the others."""
-
-    unstable: int
-    ms: float
-
-    @classmethod
-    def of(cls, ms: Iterable[float]) -> "Robustness":
-        """The robustness by Ms on each model."""
-        values = tuple(ms)
-        finite = [value for value in values if math.isfinite(value)]
-        return cls(len(values) - len(finite), max(finite, default=0.0))
+def robustness(each: Sequence[float]) -> tuple[float, int]:
+    """The greatest Ms where the loop is stable, and on how many models it is not. each : Ms on each model."""
+    finite = [ms for ms in each if math.isfinite(ms)]
+    return max(finite, default=0.0), len(each) - len(finite)
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,15 +160,16 @@ def rollback(cause: TrialEvent, ran: SetsThatRan, known: StillAllowed, settings:
     sets = [ran.tried, ran.before] if stays else [ran.before, ran.tried]
     ms = {gains: known.ms(gains) for gains in (*sets, *ran.earlier)}
     expected, else_ = expected_losses(ms, known.likely(), _seen(cause, ran, settings), settings.harmless_ms)
-    open_to = [gains for gains in ms if not _kept_out(gains, ran, known, settings.harmless_ms)]
+    shut = {one for one in ms if less_stable(one, ran.tried, known, settings.harmless_ms)}
+    shut |= {ran.before} if ran.lost and not known.processes else set()
+    open_to = [gains for gains in ms if gains not in shut]
     runs = sets[0] if sets[0] in open_to else ran.tried
     for other in open_to:
         runs = other if expected[other] < expected[runs] - PRICE else runs
     numbers = None
     if known.processes:
-        tried, before = Robustness.of(ms[ran.tried]), Robustness.of(ms[ran.before])
-        models = len(ms[ran.tried])
-        numbers = RollbackNumbers(models, tried.ms, tried.unstable, before.ms, before.unstable, else_)
+        tried, before = ms[ran.tried], ms[ran.before]
+        numbers = RollbackNumbers(len(tried), *robustness(tried), *robustness(before), else_)
     return Rollback(runs, runs == ran.tried, _words(cause, numbers, runs, ran, settings), numbers)
 
 
@@ -190,14 +183,14 @@ def less_stable(to: PidGains, present: PidGains, known: StillAllowed, harmless_m
     if not models or to == present:
         return ""
     each = [known.ms(gains) for gains in (to, present)]
-    there, here = (Robustness.of(ms) for ms in each)
+    there, here = (robustness(ms) for ms in each)
     goes, stays = (sum(w * loss_of(one, harmless_ms) for w, one in zip(known.likely(), ms, strict=True)) for ms in each)
-    lost = there.unstable == here.unstable == models and less_of_everything(to, present)
+    lost = there[1] == here[1] == models and less_of_everything(to, present)
     if not (goes > stays + PRICE or known.unstable(to) > known.unstable(present) + PRICE or lost):
         return ""
     return (
-        f"they are less stable on {models_words(models)}: {robustness_words(there.ms, there.unstable, models)}, "
-        f"active gains {robustness_words(here.ms, here.unstable, models)}"
+        f"they are less stable on {models_words(models)}: {robustness_words(*there, models)}, "
+        f"active gains {robustness_words(*here, models)}"
     )
 
 
@@ -218,15 +211,6 @@ def unstable_again(ran: SetsThatRan, known: StillAllowed) -> str:
 
 LOST_WORDS = "the previous gains were unstable on the model on which the trial gains were proved"
 """Why a set does not come back where no model is left."""
-
-
-def _kept_out(gains: PidGains, ran: SetsThatRan, known: StillAllowed, harmless_ms: float) -> bool:
-    """Whether the door is closed to a set."""
-    if gains == ran.tried:
-        return False
-    if known.processes:
-        return ran.tried is not None and bool(less_stable(gains, ran.tried, known, harmless_ms))
-    return ran.lost and gains == ran.before
 
 
 def loss_of(ms: float, harmless_ms: float) -> float:
