@@ -12,6 +12,9 @@ import numpy as np
 
 from retuner.adaptive.declared_setting import require_in_range, setting
 from retuner.adaptive.explanations.process_grid import (
+    DEAD_TIMES,
+    FREQUENCIES,
+    GAINS,
     HALF_TURN,
     BoolArray,
     ComplexArray,
@@ -23,7 +26,7 @@ from retuner.adaptive.explanations.process_grid import (
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.gains import PidGains
-from retuner.schedule.late_dataclass import dataclass
+from retuner.schedule.late_dataclass import dataclass, field
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,12 +56,14 @@ class LikelyProcesses:
     """The likeliest processes of the grid.
 
     index : of shape, dead time and gain. weights : sum 1. responses : G(jw), shape (processes, frequencies).
+    later : dead time beside that of the grid, samples.
     """
 
     index: tuple[tuple[int, int, int], ...]
     weights: FloatArray
     responses: ComplexArray
     sample_time_s: float
+    later: FloatArray = field(default_factory=lambda: np.zeros(1))
 
     def peaks(self, gains: PidGains) -> FloatArray:
         """Ms on each process, infinite where the loop is unstable; shape (processes,)."""
@@ -68,7 +73,8 @@ class LikelyProcesses:
     def stable(self, gains: PidGains) -> BoolArray:
         """Which of the loops are stable, shape (processes,)."""
         law, away, (rows, dead, _) = control_law(gains, self.sample_time_s), self.runs_away, np.array(self.index).T
-        size, over = np.abs(self.responses) * np.abs(law), loop_phases(rows, dead, law) > HALF_TURN
+        phases = loop_phases(rows, dead, law) - self.later[:, None] * FREQUENCIES
+        size, over = np.abs(self.responses) * np.abs(law), phases > HALF_TURN
         falls, rises = over[:, :-1] & ~over[:, 1:], ~over[:, :-1] & over[:, 1:]
         large = size[:, :-1] * size[:, 1:] >= 1.0
         stable = ~(falls & large).any(axis=1) & over[:, 0]
@@ -82,6 +88,26 @@ class LikelyProcesses:
     def runs_away(self) -> BoolArray:
         """Which of the processes run away by themselves, shape (processes,)."""
         return np.array([i >= len(shapes()) for i, _, _ in self.index])
+
+
+def over_cells(likely: LikelyProcesses, drawn: int) -> LikelyProcesses:
+    """The processes spread over their cells, which reach half way to the next gain and dead time: what is told of Ms is
+    to hold between the points of the grid, also where one has all odds. drawn : of how many draws they came; a process
+    is spread as often as it was drawn, at the most IN_CELL times, on a lattice of rank one (Korobov 1959).
+    """
+    parts = np.clip(np.round(likely.weights * drawn).astype(int), 1, IN_CELL)
+    at = np.repeat(np.arange(len(parts)), parts)
+    place = np.arange(len(at)) - (np.cumsum(parts) - parts)[at] - (parts[at] - 1) / 2
+    gain, across = np.exp(GAIN_STEP * place / parts[at]), (GOLDEN * place + 0.5) % 1.0 - 0.5
+    index = tuple(likely.index[i] for i in at)
+    below, above = (steps[[j for _, j, _ in index]] for steps in DEAD_STEPS)
+    later = across * np.where(across < 0.0, below, above)
+    responses = likely.responses[at] * gain[:, None] * np.exp(-1j * later[:, None] * FREQUENCIES)
+    return LikelyProcesses(index, (likely.weights / parts)[at], responses, likely.sample_time_s, later)
+
+
+IN_CELL, GOLDEN, GAIN_STEP = 8, (math.sqrt(5.0) - 1.0) / 2.0, float(np.log(GAINS[1] / GAINS[0]))
+DEAD_STEPS = np.diff(DEAD_TIMES, prepend=DEAD_TIMES[0]), np.diff(DEAD_TIMES, append=DEAD_TIMES[-1])
 
 
 def process_model(shape: ProcessShape, dead: float, gain: float, direction: int, sample_time_s: float) -> ProcessModel:

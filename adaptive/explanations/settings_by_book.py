@@ -3,7 +3,8 @@
     worth(set) = E[cost(in force)] - E[cost(set)],     cost as in likely_processes.py
 
 1/ki is the integrated error after a unit load step, whatever the process (Astrom & Hagglund 2006, section 4.3). The
-expectation is over processes drawn from the book, each as likely as the others. On line a change costs more than words:
+expectation is over processes drawn from the book, each as likely as the others; what is told of the gains in force
+holds between the grid's points as well (`over_cells`). On line a change costs more than words:
 it is made where the book is clear, and was at the look before (for less action after the whole window before), and
 where no tone from outside may be what moves it, unless the setpoint has moved it as well. Less action, where Ms is
 probably too high with the gains in force. More, where the loop probably has room, a set with more is probably cheaper,
@@ -30,6 +31,7 @@ from retuner.adaptive.explanations.likely_processes import (
     WorthSettings,
     costs,
     expected_cost,
+    over_cells,
     process_model,
     quantile,
 )
@@ -152,10 +154,12 @@ def by_book(book: Book, gains: PidGains, settings: BookSettings) -> ByBook:
     moved the loop, more gain with a longer integral time may be better, or less with a shorter one if Ms is too high.
     """
     drawn, told = book.drawn(settings.drawn), book.told_by_setpoint
-    ms, (high, room) = drawn.peaks(gains), shares(drawn, gains, settings)
-    middle, low, most = (quantile(np.minimum(ms, MS_SHOWN), drawn.weights, share) for share in (0.5, 0.05, 0.95))
+    ms, cells, (high, room) = drawn.peaks(gains), over_cells(drawn, settings.drawn), shares(drawn, gains, settings)
+    shown = np.minimum(cells.peaks(gains), MS_SHOWN)
+    middle, low, most = (quantile(shown, cells.weights, share) for share in (0.5, 0.05, 0.95))
     numbers = BookNumbers(high, room, middle, low, most, float(book.records), book.tone)
-    by_orders, tried = _by_orders(book, settings), list[PidGains]()
+    orders = () if book.tone * book.moved >= HALF else ORDERS  # beside a tone the setpoint's moves tell the process
+    by_orders, tried = [book.drawn(settings.drawn, order) for order in orders], list[PidGains]()
     integral_times = [_integral_times(book, one) for one in (drawn, *by_orders)]
     if told or max(room, high) >= settings.more_odds:  # also where Ms is too high, if more action makes it less
         tried += _sets(gains, MORE_OF_ALL, integral_times, settings)
@@ -185,8 +189,9 @@ def by_book(book: Book, gains: PidGains, settings: BookSettings) -> ByBook:
 
 def shares(drawn: LikelyProcesses, gains: PidGains, settings: BookSettings) -> tuple[float, float]:
     """Probability that Ms is over its limit with these gains, and that there is room for more action."""
-    high = float(drawn.weights @ (drawn.peaks(gains) > settings.ms_high))
-    room = float(drawn.weights @ (drawn.peaks(_times(gains, settings.room, 1.0)) <= settings.ms_good))
+    cells = over_cells(drawn, settings.drawn)
+    high = float(cells.weights @ (cells.peaks(gains) > settings.ms_high))
+    room = float(cells.weights @ (cells.peaks(_times(gains, settings.room, 1.0)) <= settings.ms_good))
     return high, room
 
 
@@ -295,14 +300,6 @@ def _best(
         if now - cost >= settings.worth:
             found.append((now - cost, new, peaks))
     return max(found, key=lambda one: one[0], default=None)
-
-
-def _by_orders(book: Book, settings: BookSettings) -> tuple[LikelyProcesses, ...]:
-    """Processes under each order of load by itself. None where the setpoint moves a loop beside a tone: its moves tell
-    the process, whatever the spectrum of the load.
-    """
-    told = book.tone * book.moved >= HALF
-    return () if told else tuple(book.drawn(settings.drawn, at) for at in ORDERS)
 
 
 def _proved_on(book: Book, drawn: LikelyProcesses, peaks: FloatArray, settings: BookSettings) -> Spread:

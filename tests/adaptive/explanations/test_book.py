@@ -17,12 +17,13 @@ from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.explanations import book as book_of_samples
 from retuner.adaptive.explanations import settings_by_book
-from retuner.adaptive.explanations.book import BY_STEPS, ODD, PLANES, RUNAWAYS, Book, doubted, faded, update
-from retuner.adaptive.explanations.process_grid import shapes
+from retuner.adaptive.explanations.book import BY_STEPS, DEEPEST, ODD, PLANES, RUNAWAYS, Book, doubted, faded, update
+from retuner.adaptive.explanations.process_grid import DEAD_TIMES, GAINS, ProcessShape, shapes
 from retuner.adaptive.explanations.settings_by_book import BookSettings, by_book, gain, lets_go
 from retuner.adaptive.guard import GuardSettings
 from retuner.adaptive.identification.plausible import Plausible
-from retuner.adaptive.process.model import ProcessModel
+from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.process.model import LinearProcess, ProcessModel
 from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.signals.sample import FloatArray, LoopSample, Window
 from retuner.adaptive.supervision import by_all_samples, decide, known_processes, retuner
@@ -164,6 +165,18 @@ def test_less_action_must_not_be_worse_under_any_order_of_the_load(plane: int) -
     by_loads, by_setpoint = (by_book(replace(book, moved=moved), tight, SETTINGS) for moved in (0.0, 1.0))
     assert (by_loads.leans, by_loads.tuning) == (-1, None)
     assert by_setpoint.tuning, "the moves of the setpoint tell the process whatever the spectrum of the load"
+
+
+@pytest.mark.parametrize(("gain", "later"), [(1.0, 0.0), (1.04, 0.2), (0.96, -0.2), (1.06, -0.2)])
+def test_what_is_told_of_ms_holds_between_the_points_of_the_grid(gain: float, later: float) -> None:
+    """One process has all odds; the next gains are a fifth away, the next dead times a sample."""
+    i, j, k = shapes().index(ProcessShape(22.0, 0.0)), DEAD_TIMES.index(4.0), 30
+    planes = np.full(PLANES, DEEPEST, dtype=np.uint8)
+    planes[:, i, j, k] = 0
+    told = by_book(replace(begun(), levels=planes.tobytes()), GOOD, SETTINGS).numbers
+    process = LinearProcess(gain * GAINS[k] / GOOD.kp, (22.0,), (), 4.0 + later + 0.5)
+    assert told.book_ms_low < sensitivity_peak(process, GOOD) < told.book_ms_high
+    assert told.book_ms_high < 1.3 * told.book_ms_low
 
 
 @pytest.mark.slow
