@@ -33,7 +33,7 @@ from retuner.adaptive.explanations.wandering_load import (
     VALUE,
     Prepared,
     filtered,
-    load_model,
+    load_models,
     reduced,
     responses,
     spectrum,
@@ -141,7 +141,7 @@ def whitened(
     record: Prepared, lag: float, load: tuple[float, int], beside: FloatArray | None = None, second: float = 0.0
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """As for `shocks`: pv whitened, orthonormal columns of starts and co's part in it, and what a shock does."""
-    n, model = len(record.pv), load_model(lag, *load)
+    n, (model,) = len(record.pv), load_models(lag, load[:1], load[1])
     memory, basis = whitening(n, (math.exp(-1.0 / second),) if second else (), model)
     rows = record.pv[None] if beside is None else np.array([record.pv, beside])
     y, *co = filtered(spectrum(reduced(rows, model.roots)), n, memory)

@@ -95,14 +95,12 @@ class LoadModel:
         return tuple(np.poly(self.roots).tolist())
 
 
-def load_model(lag: float, bandwidth: float, order: int, second: float = 0.0) -> LoadModel:
-    """The filter that whitens a load behind a first lag and a second one (0: none), in samples. order : of the walk."""
-    return load_models(lag, (bandwidth,), order, second)[0]
-
-
 @cache
 def load_models(lag: float, bandwidths: tuple[float, ...], order: int, second: float = 0.0) -> tuple[LoadModel, ...]:
-    """Load models for several bandwidths."""
+    """The filters that whiten a load behind a first lag and a second one (0: none), in samples, for several bandwidths.
+
+    order : of the walk.
+    """
     roots = _roots(lag, order, second)
     found = _of_grid(len(roots)).get(roots, {})
     if not found.keys() >= set(bandwidths):
@@ -401,7 +399,8 @@ def likeliest_load(record: Prepared, lag: float) -> tuple[LoadModel, float]:
     fits = under_loads(record, record.co[None], lag, LOADS, DEAD_TIMES)
     variance = fits.left.min(axis=(1, 2)) / fits.freedom
     best = int(np.argmin(variance))
-    model = load_model(lag, *LOADS[best])
+    bandwidth, order = LOADS[best]
+    (model,) = load_models(lag, (bandwidth,), order)
     c = tuple(np.convolve(model.c, (1.0, record.smoothing)).tolist()) if record.smoothing else model.c
     return LoadModel(model.roots, c), math.sqrt(float(variance[best]))
 

@@ -219,20 +219,16 @@ def _rivals(
 ) -> list[Candidate]:
     """Every structure with 0, 1, ... seeded loads, judged by what it leaves."""
     plain = replace(settings, most_loads=0, most_order=0, further=())
-    found = _structures(window.content, signs, plain, barred_s)
+    found = (fit for sign in signs for fit in _structures(window.content, sign, plain, barred_s))
     return [judged(replace(fit, misfit=replace(fit.misfit, most_order=settings.most_order))) for fit in found]
 
 
 @lru_cache(maxsize=16)  # a record is looked at by identification and by diagnosis, which judge by filters of their own
 def _structures(
-    content: tuple[tuple[bytes, ...], float], signs: tuple[int, ...], settings: StructureSettings,
-    barred_s: tuple[float, ...],
-) -> list[Fit]:  # fmt: skip
+    content: tuple[tuple[bytes, ...], float], sign: int, settings: StructureSettings, barred_s: tuple[float, ...]
+) -> list[Fit]:
     record = replace(Record.of(Window.holding(content), settings.most_samples), barred_s=barred_s)
-    return [fit for sign in signs for fit in _of_sign(record, sign, settings)]
 
-
-def _of_sign(record: Record, sign: int, settings: StructureSettings) -> list[Fit]:
     def misfit(type_: ProcessType, loads: int) -> Misfit:
         return Misfit(record, type_, sign, loads, record.noise_std, settings.start_spread)
 

@@ -31,7 +31,7 @@ from retuner.adaptive.explanations.wandering_load import (
     UnderLoads,
     impulse_response,
     lead_of_steps,
-    load_model,
+    load_models,
     log_likelihood,
     responses,
     under_loads,
@@ -48,7 +48,7 @@ from retuner.schedule.gains import PidGains
 @pytest.mark.parametrize("order", [AT_PV, VALUE, SLOPE])
 def test_the_filter_factors_the_spectrum_of_load_and_noise(lag: float, bandwidth: float, order: int) -> None:
     """r + A(q) A(1/q) is s C(q) C(1/q), and C has no root on or inside the unit circle."""
-    model = load_model(lag, bandwidth, order)
+    (model,) = load_models(lag, (bandwidth,), order)
     w = np.linspace(0.01, math.pi, 50)
     a, c = (np.abs(np.polyval(side[::-1], np.exp(-1j * w))) ** 2 for side in (model.a, model.c))
     r = abs(np.polyval(model.a[::-1], np.exp(-1j * bandwidth))) ** 2
@@ -57,7 +57,7 @@ def test_the_filter_factors_the_spectrum_of_load_and_noise(lag: float, bandwidth
 
 
 def test_a_filter_by_transforms_is_the_recursion() -> None:
-    model, n = load_model(10.0, 0.2, 2), 300
+    (model,), n = load_models(10.0, (0.2,), 2), 300
     found = impulse_response(model.a, model.c, n)
     expected = np.zeros(n)
     for i in range(n):
@@ -88,7 +88,7 @@ def test_least_squares_under_a_load_are_those_of_the_whole_covariance(order: int
     load, noise = np.cumsum(rng.standard_normal(n)) * 0.05, 0.3 * rng.standard_normal(n)
     x = responses(u, lag)[0]
     pv = 2.0 * x + (responses(load, lag)[0] if order else 0.1 * load) + noise
-    model = load_model(lag, 0.1, order)
+    (model,) = load_models(lag, (0.1,), order)
     record = Prepared(pv - pv[0], u - u[0], 0.0, 1.0)
     fit = under_loads(record, record.co[None], lag, [(0.1, order)], (0.0,), through=None if order else 0)
     # in full: A z = w makes z's covariance from w's; its unknown start and the lag's are a column each
@@ -198,7 +198,7 @@ def test_a_swing_far_slower_than_the_integral_time_is_too_much_integral_action(t
 
 
 def test_a_load_without_noise_is_differenced_only() -> None:
-    assert load_model(math.inf, math.inf, 1) == LoadModel((1.0, 1.0), (1.0, 0.0, 0.0))
+    assert load_models(math.inf, (math.inf,), 1) == (LoadModel((1.0, 1.0), (1.0, 0.0, 0.0)),)
 
 
 def both_engines(record: Prepared, inputs: FloatArray, lag: float, dead_times: tuple[float, ...]) -> list[UnderLoads]:
