@@ -25,9 +25,9 @@ from retuner.adaptive.supervision.known_processes import KnownProcesses, known_o
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.supervision.state_file import remember, restore
+from retuner.adaptive.trial import rollback
 from retuner.adaptive.trial.phase import SILENT, UNDECIDED, TrialEvent, TrialPhase
 from retuner.adaptive.trial.prediction import predict
-from retuner.adaptive.trial.rollback import Robustness
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable
@@ -114,8 +114,8 @@ HAPPENS: dict[str, Callable[[World], object]] = {
 def robustness(world: World, region: int, gains: PidGains) -> tuple[int, float]:
     known = known_of(KnownProcesses(world.retuner.table, world.retuner.region_models, world.t_s, SETTINGS), region)
     assert known.processes
-    found = Robustness.of(known.ms(gains))
-    return found.unstable, max(found.ms, HARMLESS)
+    greatest, unstable = rollback.robustness(known.ms(gains))
+    return unstable, max(greatest, HARMLESS)
 
 
 def do(world: World, name: str) -> None:
