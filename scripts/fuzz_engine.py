@@ -221,6 +221,16 @@ def call_mix(random: Random) -> list[Any]:
             1.0, rows, zeros(len(groups) // loads * rows * deads * many)]  # fmt: skip
 
 
+def call_any_load(random: Random) -> list[Any]:
+    """Proper arguments of any_load."""
+    order, rest, deads, gains = random.randint(1, 32), random.randint(0, 8), random.randint(0, 4), random.randint(1, 20)
+    n = 2 * order + random.randint(1, 60)
+    late = array("d", [random.choice((0.0, 0.5, 3.0, 70.0, random.uniform(0, 90))) for _ in range(deads)])
+    spans = array("d", (float(random.randint(0, gains)) for _ in range(2 * deads)))
+    rows = [numbers(random, n), numbers(random, n), numbers(random, rest * (n - order))]
+    return [*rows, late, numbers(random, gains), spans, order, 1e-3, zeros(deads * gains)]
+
+
 def stepped(random: Random) -> list[Any]:
     """pv, a response, what is there beside the steps, and a share."""
     n, rest = random.randint(2, 50), random.randint(0, 3)

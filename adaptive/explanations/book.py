@@ -9,7 +9,12 @@ without a tone from outside and with one (tone.py).
 A tone lasts, so it is kept with each process whether there is one: a single window of it may look like a loop near
 instability, and several would make that sure. Under a tone and by loads alone, next to nothing tells a process from the
 inverse of its controller, which explains pv by co as well: such windows say how likely a tone is. Which process is
-there, the moves of the setpoint say by themselves, once there are some: L to the power of their share.
+there, the answers to the setpoint say, once there are some, whatever the load (any_load.py). As far as there is no
+tone, what a load that wanders says counts besides (a logarithmic pool: Genest & Zidek 1986):
+
+    told      w  ~  A^(s/T_ANSWERS) w_alone^(1 - tone)
+
+with A the likelihood under a load of any spectrum, and s the setpoint's share in what moves the window.
 
 No window makes anything sure: it may be an odd one, that says nothing. Windows add up on one grid (process_grid.py),
 because gains are counted in a unit, and time in an interval, that stay: those of the loop when its book was begun.
@@ -30,6 +35,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from retuner.adaptive.explanations.any_load import T_ANSWERS, log_likelihood_of_answers
 from retuner.adaptive.explanations.likely_processes import LikelyProcesses
 from retuner.adaptive.explanations.process_grid import (
     DEAD_TIMES,
@@ -45,7 +51,6 @@ from retuner.adaptive.explanations.process_grid import (
 from retuner.adaptive.explanations.tone import likeliest_tone
 from retuner.adaptive.explanations.wandering_load import (
     ORDERS,
-    T_SETPOINT,
     TEMPER,
     Prepared,
     block_means,
@@ -65,10 +70,10 @@ ODD, FEWEST_SAMPLES = 0.02, 30
 TONE, TONE_LASTS = 0.3, 20000
 """Probability of a tone before any record (3 loops of 10 oscillate: Bialkowski 1993), and samples that it lasts."""
 GRID = (len(shapes(EVERY_LAG)), len(DEAD_TIMES), len(GAINS))
-BY_STEPS, TOLD = 2, 0.5  # plane (see PLANES); share of the moves of the setpoint from which these tell the process
+ANSWERS, TOLD = 2, 0.5  # plane (see PLANES); share of the moves of the setpoint from which these tell the process
 PLANES, WEIGHED = (3 + len(ORDERS), *GRID), 2
-"""Every process without a tone and with one, whose odds count; with one, as the setpoint's moves alone show it; then,
-without, under each order of load by itself."""
+"""Every process without a tone and with one, whose odds count; as answers to the setpoint show it, whatever the load;
+then, without a tone, under each order of load by itself."""
 WHOLE = (slice(WEIGHED), *(slice(i, i + 1) for i in range(WEIGHED, PLANES[0])))  # planes whose weights are one together
 BEYOND, MOST_ROOM, MS_OF_ROOM = 1.25, 12.0, 1.7
 """Loop gains so many times beyond the limit of stability are left out, and processes on which so many times all actions
@@ -133,7 +138,9 @@ class Book:
         """Weight of every process of the grid, sum 1; shape (shapes, dead times, gains)."""
         known, tone, told = _weights(self.levels), self.tone, self.moved
         alone, beside = (one / float(one.sum()) for one in known[:WEIGHED])
-        return np.asarray((1.0 - tone) * alone + tone * ((1.0 - told) * beside + told * known[BY_STEPS]))
+        pooled = known[ANSWERS] * (alone / float(alone.max())) ** (1.0 - tone)
+        by_loads = (1.0 - tone) * alone + tone * beside
+        return np.asarray((1.0 - told) * by_loads + told * pooled / float(pooled.sum()))
 
     @property
     def tone(self) -> float:
@@ -152,7 +159,7 @@ class Book:
 
         Drawn from the whole and not the likeliest only: where much is possible each of those has next to no weight.
         """
-        weights = self.weights() if order is None else _weights(self.levels)[BY_STEPS + 1 + ORDERS.index(order)]
+        weights = self.weights() if order is None else _weights(self.levels)[ANSWERS + 1 + ORDERS.index(order)]
         whole = np.cumsum(weights.ravel())
         at = np.searchsorted(whole, (np.arange(count) + 0.5) / count * whole[-1])
         times = np.bincount(np.minimum(at, len(whole) - 1))
@@ -227,8 +234,10 @@ def update(book: Book, window: Window, *, hazard_s: float = math.inf, grows: boo
         beside = np.logaddexp.reduce(toned) - math.log(len(toned))
         likeliest = np.argmax(np.maximum(alone + math.log(1.0 - TONE), beside + math.log(TONE)))
         share = _moved_by_setpoint(record, setpoint, int(np.flatnonzero(kept)[likeliest]))
-        power, by_steps = TEMPER / temper(share), share * TEMPER / T_SETPOINT
-        found = np.array([power * alone, power * beside, by_steps * beside, *(power * one[kept] for one in orders)])
+        power, answers = TEMPER / temper(share), np.zeros(len(alone))
+        if share:
+            answers = share / T_ANSWERS * log_likelihood_of_answers(record, book.direction, book.unit, kept)[kept]
+        found = np.array([power * alone, power * beside, answers, *(power * one[kept] for one in orders)])
         for one in WHOLE:
             part = np.exp(found[one] - float(np.max(found[one])))
             logs[one] += np.log((1.0 - ODD) * part + ODD * float(np.mean(part)))

@@ -158,7 +158,7 @@ def by_book(book: Book, gains: PidGains, settings: BookSettings) -> ByBook:
     shown = np.minimum(cells.peaks(gains), MS_SHOWN)
     middle, low, most = (quantile(shown, cells.weights, share) for share in (0.5, 0.05, 0.95))
     numbers = BookNumbers(high, room, middle, low, most, float(book.records), book.tone)
-    orders = () if book.tone * book.moved >= HALF else ORDERS  # beside a tone the setpoint's moves tell the process
+    orders = () if told else ORDERS  # answers to the setpoint tell the process whatever the spectrum of the load
     by_orders, tried = [book.drawn(settings.drawn, order) for order in orders], list[PidGains]()
     integral_times = [_integral_times(book, one) for one in (drawn, *by_orders)]
     if told or max(room, high) >= settings.more_odds:  # also where Ms is too high, if more action makes it less
@@ -178,7 +178,7 @@ def by_book(book: Book, gains: PidGains, settings: BookSettings) -> ByBook:
     said = ByBook(numbers, leans, tells_tone=book.tone >= settings.tone)
     if best is None or not leans or (leans != book.leans and not sure):
         return said
-    if leans < 0 and not told and any(gain(one, gains, best[1], settings)[1] < HALF for one in by_orders):
+    if leans < 0 and any(gain(one, gains, best[1], settings)[1] < HALF for one in by_orders):
         return said
     worth, new, peaks = best
     asked = ~drawn.runs_away & ((ms <= settings.ms_bad) | (peaks < ms) | (leans < 0))

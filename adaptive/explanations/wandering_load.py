@@ -109,7 +109,7 @@ def load_models(lag: float, bandwidths: tuple[float, ...], order: int, second: f
 
 
 def _roots(lag: float, order: int, second: float) -> tuple[float, ...]:
-    return (1.0,) if order == AT_PV else (_pole(lag), *((_pole(second),) if second else ()), *(1.0,) * order)
+    return (1.0,) if order == AT_PV else (pole_of(lag), *((pole_of(second),) if second else ()), *(1.0,) * order)
 
 
 @cache
@@ -146,7 +146,7 @@ def _factored(
     }
 
 
-def _pole(lag: float) -> float:
+def pole_of(lag: float) -> float:
     """What a sample later is there of a lag's state: more than before where it runs away."""
     return 1.0 if math.isinf(lag) else math.exp(-1.0 / lag)
 
@@ -243,9 +243,9 @@ def _behind(
     }
     models = tuple(next(by_order[order]) for _, order in loads)
     starts = second_lags(lag)[1:] if through is None else (lag if AT_PV in by_order else 0.0, behind)
-    falls = tuple(_pole(one) for one in starts if one)
+    falls = tuple(pole_of(one) for one in starts if one)
     unknown = np.array([len({*falls} - {*model.roots}) + len(model.roots) for model in models])
-    poles = np.array([0.0 if not second else _pole(second) for second in seconds])
+    poles = np.array([0.0 if not second else pole_of(second) for second in seconds])
     packed = np.zeros((len(models), 7))
     for row, model in zip(packed, models, strict=True):
         degree = row[0] = len(model.roots)
@@ -329,7 +329,7 @@ def responses(inputs: FloatArray, lag: float) -> FloatArray:
     """
     n = inputs.shape[-1]
     k = np.arange(n, dtype=np.float64)
-    pole = _pole(lag)
+    pole = pole_of(lag)
     stays = pole if pole <= 1.0 else 0.0
     rise = np.where(k > 0, stays ** np.maximum(k - 1.0, 0.0), 0.0) * (1.0 if math.isinf(lag) else abs(1.0 - pole))
     first = filtered(spectrum(inputs), n, rise)

@@ -29,9 +29,9 @@
 #include "engine_c/search.h"
 #include "engine_c/steps.h"
 #include "engine_c/valves.h"
-#include "engine_c/walk.h"
+#include "engine_c/any_load.h"
 
-#define VERSION "11"
+#define VERSION "12"
 
 /* ---------------------------------------------------------------- the door: buffers of numbers, looked at before use */
 
@@ -537,6 +537,34 @@ static PyObject *py_mix(View *v, Work *w, PyObject *const *from) {
     return Py_NewRef(Py_None);
 }
 
+/* any_load(pv, x, rest, deads, gains, spans, order, noise, left): see AnyLoad. */
+static PyObject *py_any_load(View *v, Work *w, PyObject *const *from) {
+    (void)w;
+    static const char *const NAMES[] = {"pv", "x", "rest", "deads", "gains", "spans"};
+    Py_ssize_t order = PyLong_AsSsize_t(from[6]);
+    double noise = PyFloat_AsDouble(from[7]);
+    if (PyErr_Occurred())
+        return NULL;
+    for (int i = 0; i < 6; i++)
+        if (finite_view(from[i], &v[i], NAMES[i], 0))
+            return NULL;
+    Py_ssize_t n = v[0].n, many = n - order, rest = many > 0 ? v[2].n / many : 0;
+    if (order < 1 || order > MOST_ORDER || many <= order || n > 10000000 || rest > MOST_REST || v[4].n < 1 ||
+        !(noise >= 0 && isfinite(noise)))
+        return refuse("any_load: too few samples, or order, columns, gains or noise are outside their range"), NULL;
+    if (sized(&v[1], n, "x") || sized(&v[2], rest * many, "rest") ||
+        within(&v[3], 0, 100000, "deads: 0 to 100000 samples") || sized(&v[5], 2 * v[3].n, "spans") ||
+        within(&v[5], 0, (double)v[4].n, "spans: gains of the grid") || view(from[8], &v[6], "left", 1) ||
+        sized(&v[6], v[3].n * v[4].n, "left"))
+        return NULL;
+    AnyLoad of = {v[0].x, v[1].x, v[2].x, v[3].x, v[4].x, v[5].x, n, rest, v[3].n, v[4].n, (int)order, noise, v[6].x};
+    int failed;
+    Py_BEGIN_ALLOW_THREADS
+    failed = any_load(&of);
+    Py_END_ALLOW_THREADS
+    return failed ? PyErr_NoMemory() : Py_NewRef(Py_None);
+}
+
 /* pv, response and rest, from the first three arguments, and the share from the fourth. */
 static int read_stepped(Stepped *s, View *v, PyObject *const *from) {
     static const char *const NAMES[] = {"pv", "response", "rest"};
@@ -642,8 +670,8 @@ static PyObject *py_held(View *v, Work *w, PyObject *const *from) {
 /* Every function with how many arguments it has. */
 #define FUNCTIONS(M)                                                                                                  \
     M(refine, 13) M(costs, 6) M(project, 11) M(jacobian, 6) M(gains, 8) M(colour, 3) M(search, 11) M(position, 3)     \
-    M(scan, 14) M(valve_costs, 7) M(slip_costs, 8) M(screen, 9) M(walk, 12) M(mix, 10) M(steps, 6) M(move_steps, 7)    \
-    M(closed, 8) M(held, 2)
+    M(scan, 14) M(valve_costs, 7) M(slip_costs, 8) M(screen, 9) M(walk, 12) M(mix, 10) M(any_load, 9) M(steps, 6)          \
+    M(move_steps, 7) M(closed, 8) M(held, 2)
 #define DOOR(name, arguments)                                                                                         \
     static PyObject *door_##name(PyObject *self, PyObject *args) {                                                    \
         (void)self;                                                                                                   \

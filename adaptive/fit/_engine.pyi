@@ -129,6 +129,18 @@ def mix(
     out: Numbers,
     /,
 ) -> None: ...
+def any_load(
+    pv: Numbers,
+    x: Numbers,
+    rest: Numbers,
+    deads: Numbers,
+    gains: Numbers,
+    spans: Numbers,
+    order: int,
+    noise: float,
+    left: Numbers,
+    /,
+) -> None: ...
 def steps(pv: Numbers, response: Numbers, rest: Numbers, unique: float, rows: Numbers, left: Numbers, /) -> int: ...
 def move_steps(
     pv: Numbers, response: Numbers, rest: Numbers, unique: float, rows: Numbers, reach: int, passes: int, /

@@ -221,6 +221,17 @@ def walks_mixed(
     return out
 
 
+def any_load(
+    pv: FloatArray, x: FloatArray, rest: FloatArray, dead_times: FloatArray, gains: FloatArray, spans: FloatArray,
+    order: int, noise: float,
+) -> FloatArray:  # fmt: skip
+    """What an autoregression leaves of pv - K x (explanations/any_load.py), shape (dead times, gains)."""
+    left = np.empty((len(dead_times), len(gains)))
+    pv, x, rest, gains = (np.ascontiguousarray(one) for one in (pv, x, rest, gains))
+    _engine.any_load(pv, x, rest, dead_times, gains, spans, order, noise, left)
+    return left
+
+
 def steps_chosen(
     pv: FloatArray, response: FloatArray, rest: FloatArray, unique: float, most: int
 ) -> tuple[list[int], FloatArray]:
