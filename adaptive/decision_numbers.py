@@ -41,6 +41,8 @@ class Basis(StrEnum):
     """What a proposal rests on."""
 
     MODEL = "model"
+    SLOW_OSCILLATION = "slow_oscillation"
+    PATTERN = "pattern"
     BORROWED = "borrowed"
     PRETUNE = "pretune"
     ALL_SAMPLES = "all_samples"

@@ -2,7 +2,7 @@
 
     findings_of          what does the record say, what does its region know with it, and what   findings.py
                          settings follow from that?
-    not_known,           what follows: are these settings proved (guard/proof.py), are they      here,
+    without_a_model,     what follows: are these settings proved (guard/proof.py), are they      here,
     by_model             worth their risk (choice/expected_cost.py), and is it sure?             confirmation.py
     gains_that_win       of what follows from the model and from all samples: which gains win,   here,
                          and why?                                                                by_all_samples.py
@@ -47,7 +47,7 @@ from retuner.adaptive.supervision.by_all_samples import (
     proposal_by_all_samples,
     robust_by_all_samples,
 )
-from retuner.adaptive.supervision.confirmation import confirmation, refutation, runaway
+from retuner.adaptive.supervision.confirmation import confirmation, counted_cause, doubt_of, refutation, runaway
 from retuner.adaptive.supervision.decision import Outcome
 from retuner.adaptive.supervision.findings import (
     NOT_KNOWN,
@@ -55,13 +55,16 @@ from retuner.adaptive.supervision.findings import (
     RobustProposal,
     findings_of,
     over_limit,
+    too_bold,
+    unambiguous,
 )
 from retuner.adaptive.supervision.judge_evidence import may_follow, posterior_of, prediction_of_proof
-from retuner.adaptive.supervision.known_processes import KnownProcesses, change_request
+from retuner.adaptive.supervision.known_processes import KnownProcesses, change_request, unproved_request
 from retuner.adaptive.supervision.other_regions import elsewhere
 from retuner.adaptive.supervision.question import OTHER_LOOP, Question, ResponseRecord, not_evaluated
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.prediction import decay_seen
+from retuner.adaptive.without_model.proposal_without_model import step_without_model
 from retuner.schedule.gains import PidGains
 
 
@@ -89,7 +92,7 @@ def _decided(question: Question) -> Outcome:
         code, reason = (OTHER_LOOP, question.spoilt) if question.spoilt else (LOOKED, "no response to judge")
         return expectation(found, gains_that_win(found, found.outcome(code, reason)))
     found = findings_of(question)
-    own = found.ended or not_known(found) or by_model(found)
+    own = found.ended or without_a_model(found) or by_model(found)
     winner = gains_that_win(found, own)
     winner = expectation(found, winner)
     winner = check_after_trial(found, winner)
@@ -143,19 +146,47 @@ def _stays(found: Findings, cause: Diagnosis, learned: Learned) -> Outcome:
     return found.unconfirmed(found.outcome("", ""), Diagnosis(Cause.UNKNOWN, 0.5, cause.evidence, reason))
 
 
-def not_known(found: Findings) -> Outcome | None:
-    """Why no settings can follow, where what is known of the process carries none; None where it does."""
+def without_a_model(found: Findings) -> Outcome | None:
+    """A small step by rules that need no model, where nothing is identified and only the tuning can be behind it.
+
+    None where a model carries settings.
+    """
     record, learned = found.record, found.learned
     assert learned is not None  # after the identification
     model, wanted = found.in_use, found.wanted
     if model is not None and wanted is not None and wanted.ready and (model.identifiable or _above_noise(found)):
         return None
-    why = model.reason if model is not None and found.steps is None else learned.estimate.reason
-    if found.steps is None and record.pattern is None:
+    if found.steps is not None:
+        return found.outcome(NOT_KNOWN, learned.estimate.reason)
+    why = model.reason if model is not None else learned.estimate.reason
+    if record.pattern is None:
         came = "crossed a boundary" if record.crossed else "began under other gains"
         told = "" if came in why else f", because it {came}"
-        why = f"{why}; two sets of gains shaped this response{told}"
-    return found.outcome(NOT_KNOWN, why)
+        return found.outcome(NOT_KNOWN, f"{why}; two sets of gains shaped this response{told}")
+    locks, growth = found.settings.locks_of(record.region), found.growth
+    own = Diagnosis(Cause.AGGRESSIVE, 0.9, growth.to_dict(), growth.sentence) if growth is not None else None
+    proposed = step_without_model(
+        record.response, record.window, record.in_force, own, found.settings.without_model, locks
+    )
+    reason = f"{why}; {proposed.sentence}"
+    silent = learned.agreement == Agreement.SILENT and not record.response.sp_changed  # noise has peaks as well
+    if proposed.tuning is None or silent:
+        return found.outcome(NOT_KNOWN, reason, own, proposed.numbers)
+    stored = record.table.stored_for(record.region, proposed.tuning.gains, *record.at)
+    if stored is None:
+        reason = f"{reason}; no gains of this region give that next to its neighbours'"
+        return found.outcome(NOT_KNOWN, reason, own, proposed.numbers)
+    after = record.table.with_gains(record.region, stored).at(record.region, *record.at)
+    if bold := too_bold((model or learned.estimate).plausible, record.in_force, after, found.settings):
+        return found.outcome(NOT_KNOWN, f"{reason}; not done: {bold}", own, proposed.numbers)
+    found, tuning = replace(found, excitation=found.excitation_now), replace(proposed.tuning, gains=stored)
+    if growth is None and not unambiguous(found, learned) and (doubt := doubt_of(found)) is not None:
+        step = replace(found.outcome("", ""), proposal=tuning, foreign=counted_cause(found, doubt))
+        return found.unconfirmed(step, replace(doubt, reason=f"{reason}; {doubt.reason}"))
+    tables, damping = (record.table, record.commissioned), record.response.damping
+    proof = prove(unproved_request(tuning, record.region, tables, found.settings, damping), found.settings.guard)
+    step = found.outcome(proof.code, reason if proof.accepted else proof.sentence, own, proposed.numbers)
+    return replace(step, proposal=tuning, basis=proposed.basis, proof=proof)
 
 
 def _above_noise(found: Findings) -> bool:

@@ -23,6 +23,7 @@ from retuner.adaptive.diagnosis.second_opinion import SWINGING, Excitation, from
 from retuner.adaptive.diagnosis.swing_checks import FOREIGN_SWINGS, at_own_crossover, touches_limits
 from retuner.adaptive.diagnosis.wrong_way import acts_wrong_way
 from retuner.adaptive.guard.both_sides_of_border import eased, worst_between
+from retuner.adaptive.guard.step_size import less_of_everything
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.identification.robust_simc import RobustSettings, asks_for_integral, believed, robust_simc_on
@@ -479,6 +480,18 @@ def over_limit(
     """Whether gains are over an Ms limit on every model that is believed to within an excess; of infinity: unstable."""
     found = [p.model.seen_by_controller(settings.sample_time_s).linear() for p in believed(allowed, excess)]
     return bool(found) and all(sensitivity_peak(process, gains, settings.filter_s) >= limit for process in found)
+
+
+def too_bold(allowed: Sequence[Plausible], in_force: PidGains, after: PidGains, settings: RetunerSettings) -> str:
+    """Words for a step to more action that exceeds its Ms limit on a model that the records allow; else empty.
+
+    What does not carry settings may still say how far not to go.
+    """
+    if less_of_everything(in_force, after):
+        return ""
+    models = [p.model.seen_by_controller(settings.sample_time_s) for p in believed(allowed, settings.robust.believed)]
+    ms = max((sensitivity_peak(model.linear(), after) for model in models), default=0.0)
+    return f"on a plausible model Ms would be {ms:.2f}" if ms > settings.cause.ms_high else ""
 
 
 BEYOND = 1.05

@@ -22,7 +22,7 @@ from retuner.adaptive.trial.judge import JudgedResponse
 from retuner.adaptive.trial.load_variability import load_variability
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.posterior_check import PosteriorCheck, check_posterior
-from retuner.adaptive.trial.prediction import Prediction, decay_seen, predict
+from retuner.adaptive.trial.prediction import Prediction, decay_seen, predict, predict_without_model
 from retuner.adaptive.trial.trial import Trial
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import replace
@@ -57,11 +57,18 @@ def prediction_of(
     samples : all that are kept, for how much the error moves while nothing happens. last : the trial of the gains in
     force, which knows how far it moved before them, where they have not run for long.
     """
-    if proof is None or proof.gains is None or not proof.allowed:
+    if proof is None or proof.gains is None:
         return None
     in_force, new = table.at(region, *at), table.with_gains(region, proof.gains).at(region, *at)
-    law = settings.sample_time_s, settings.setpoint_weight, settings.filter_s
-    prediction = replace(predict(proof.allowed, in_force, new, *law), decay_seen=decay_seen(response))
+    if proof.allowed:
+        prediction = predict(
+            proof.allowed, in_force, new, settings.sample_time_s, settings.setpoint_weight, settings.filter_s
+        )
+        prediction = replace(prediction, decay_seen=decay_seen(response))
+    elif response:
+        prediction = predict_without_model(response, in_force, new)
+    else:
+        return None
     swung = prediction.decay_seen is not None and prediction.decay_seen > settings.trial.harmless_decay
     wander, moved = load_variability(samples)
     if not moved and last is not None and last.prediction is not None and last.new == in_force:

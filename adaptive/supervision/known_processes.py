@@ -10,7 +10,7 @@ from retuner.adaptive.explanations.book import ODD, Book
 from retuner.adaptive.explanations.settings_by_book import spread
 from retuner.adaptive.guard.both_sides_of_border import borders_of, likeliest_between, mixed
 from retuner.adaptive.guard.model_set import allowed
-from retuner.adaptive.guard.request import ChangeRequest, Evidence, NeighbourBorder
+from retuner.adaptive.guard.request import ChangeRequest, Evidence, NeighbourBorder, Support
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
@@ -175,6 +175,29 @@ def change_request(
         ),
         borders=known.borders(region),
         filter_s=settings.filter_s,
+        urgent=_urgent(damping, settings),
+        locks=settings.locks_of(region),
+        units=settings.units,
+    )
+
+
+def unproved_request(
+    proposal: Tuning,
+    region: int,
+    tables: tuple[GainTable, GainTable],
+    settings: RetunerSettings,
+    damping: float | None = None,
+) -> ChangeRequest:
+    """The question on a proposal that no model supports; arguments as above."""
+    in_force, commissioned = tables
+    evidence = Evidence(records=0, support=Support.PATTERN)
+    own = (in_force.gains_of(region), commissioned.gains_of(region))
+    return ChangeRequest(
+        *own,
+        proposal,
+        (),
+        settings.sample_time_s,
+        evidence,
         urgent=_urgent(damping, settings),
         locks=settings.locks_of(region),
         units=settings.units,

@@ -16,6 +16,7 @@ from retuner.adaptive.signals.growth import GrowthSettings
 from retuner.adaptive.supervision.admission import EVERYWHERE, AdmissionSettings
 from retuner.adaptive.supervision.decision import Mode
 from retuner.adaptive.trial.trial_settings import TrialSettings
+from retuner.adaptive.without_model.proposal_without_model import WithoutModelSettings
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, field, replace
 from retuner.schedule.vendor_units import VendorUnits
@@ -82,6 +83,7 @@ class RetunerSettings:
     fit: FitSettings = field(default_factory=lambda: FitSettings(ON_LINE, gain_std_limit=0.3))
     tracker: TrackerSettings = field(default_factory=TrackerSettings)
     borrowing: BorrowingSettings = field(default_factory=BorrowingSettings)
+    without_model: WithoutModelSettings = field(default_factory=WithoutModelSettings)
     admission: AdmissionSettings = field(default_factory=AdmissionSettings)
     swing: SwingSettings = field(default_factory=SwingSettings)
     growth: GrowthSettings = field(default_factory=GrowthSettings)

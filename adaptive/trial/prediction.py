@@ -9,7 +9,7 @@ load's response is promised over a step and a pulse of it, because either may co
 """
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from retuner.adaptive.identification.plausible import Plausible
@@ -23,6 +23,10 @@ from retuner.schedule.late_dataclass import dataclass, replace
 MOST_MODELS = 16  # Models, the most likely ones, over which a promise is spread
 UPSETS = (Upset(setpoint=1.0), Upset(load_step=1.0), Upset(pulse=1.0))
 NAMES = ("overshoot", "damping", "decay", "iae", "travel", "settle_s")
+MOST_DECAY = 0.95
+"""A promise that rests on a response alone never promises less than this."""
+SWINGS = 2.0
+"""IAE over integrated error of a load's response that swings, for a promise without a model (1 where it does not)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +90,7 @@ class Expected:
 class Prediction:
     """New and old gains under a setpoint step and under a load.
 
-    models : how many models it is spread over. ms : of the new set; None in ledgers of promises without a model.
+    models : how many models it is spread over. ms : of the new set; None for a promise without a model.
     decay_seen : of the response under the old gains that led to the change, None when it does not tell; what was seen
     counts more than what a model says of the old gains.
     wander, moved : standard deviation of the error under the old gains while nothing happened, and how far it went
@@ -195,6 +199,43 @@ def decay_seen(response: Response | None) -> float | None:
     if response is None or len(response.peaks) < 2 or response.ending not in {Ending.COMPLETE, Ending.QUIET}:
         return None
     return swing([peak.e for peak in response.peaks], response.band)[2]
+
+
+def predict_without_model(seen: Response, old: PidGains, new: PidGains) -> Prediction:
+    """The prediction of a change that rests on a response's pattern alone: no worse than what was seen.
+
+    The IAE of a load needs no model (1/ki); that of a setpoint step is left open.
+    """
+    overshoot, damping, before = swing([peak.e for peak in seen.peaks], seen.band)
+    decay = min(before, MOST_DECAY)
+    length = seen.t_end_s - seen.t_start_s
+
+    def expected(gains: PidGains, iae: Callable[[PidGains], Spread]) -> Expected:
+        return Expected(
+            Spread(overshoot, min(overshoot, 0.0), max(overshoot, 0.0)),
+            Spread(damping, min(damping, 0.0), max(damping, 0.0)),
+            Spread(decay, 0.0, decay),
+            iae(gains),
+            Spread(math.inf, 0.0, math.inf),
+            Spread(length, 0.0, math.inf),
+        )
+
+    def load_iae(gains: PidGains) -> Spread:
+        least = 1 / abs(gains.ki) if gains.ki else math.inf
+        return Spread(least, least, SWINGS * least)
+
+    def open_iae(gains: PidGains) -> Spread:
+        del gains
+        return Spread(math.inf, 0.0, math.inf)
+
+    return Prediction(
+        expected(new, open_iae),
+        expected(new, load_iae),
+        expected(old, open_iae),
+        expected(old, load_iae),
+        0,
+        decay_seen(seen),
+    )
 
 
 def _setpoint(found: Sequence[Sequence[ResponseNumbers]]) -> Expected:

@@ -17,7 +17,8 @@ from cases.plant import HeldPlant
 
 from online import batch
 from online.judge import Judge, Judgement
-from online.rivals import relay_then_ziegler_nichols, step_then_simc
+from online.loop import WatchedLoop, one_region, settings
+from online.rivals import PatternAlone, relay_then_ziegler_nichols, step_then_simc
 from online.session import LOST, Row
 from retuner.schedule.gains import PidGains
 
@@ -31,6 +32,7 @@ WHO = {
     "fixed": "gains left as they were",
     "printed": "simple-pid, its README's numbers",
     "by hand": "simple-pid, knobs turned by hand",
+    "pattern": "pattern rule (EXACT-like), six disturbances",
     "relay": "relay test + Ziegler-Nichols PI",
     "step": "step test + SIMC",
     "retuner": "retuner, six disturbances",
@@ -39,6 +41,7 @@ PLANT = {
     "fixed": "nothing",
     "printed": "nothing",
     "by hand": "{turns:.0f} trials",
+    "pattern": "nothing",
     "relay": "a relay test",
     "step": "a step test in manual",
     "retuner": "nothing",
@@ -110,6 +113,9 @@ def run(task: batch.Task) -> Row:
         "step": step_then_simc(HeldPlant(process, dt_s), process, judge.theta_s, dt_s, task.noise, rng),
     }
     judged = {who: LOST if x is None else judge.of(x) for who, x in found.items()}
+    pattern = PatternAlone(one_region(gains), settings(dt_s, batch.PV_SPAN))
+    loop = WatchedLoop(HeldPlant(process, dt_s), pattern.table, dt_s, pattern)
+    judged["pattern"] = batch.disturbed(loop, judge, task, [])[-1]
     ours = batch.run(task)
     judged["retuner"] = Judgement(ours["ms"][-1], ours["j"][-1], ours["spec"][-1])
     told = {who: {"ms": x.ms, "j": x.j, "in_spec": x.in_spec} for who, x in judged.items() if found.get(who, gains)}

@@ -1,4 +1,4 @@
-"""What retuner is compared with, in the same runs: a relay experiment or a step, once.
+"""What retuner is compared with, in the same runs: a relay experiment or a step, once, and pattern rules alone.
 
 Both experiments are given what an engineer would have to find out: the sign of the process, and an amplitude that moves
 pv by about one, a hundred times the noise.
@@ -16,8 +16,12 @@ from retuner.adaptive.identification.identify import OPEN_LOOP, identify_window
 from retuner.adaptive.loop.margins import ultimate
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.rules.simc import simc
-from retuner.adaptive.signals.sample import Window
+from retuner.adaptive.signals.sample import LoopSample, Window
+from retuner.adaptive.supervision.response_finder import Completed, ResponseFinder
+from retuner.adaptive.supervision.retuner_settings import RetunerSettings
+from retuner.adaptive.without_model.pattern_rule import PatternSettings, pattern_rule
 from retuner.schedule.gains import PidGains
+from retuner.schedule.table import GainTable
 
 WAVES = 12
 """Periods of the relay experiment."""
@@ -83,6 +87,33 @@ def step_then_simc(
     if not estimate.identifiable:
         return None
     return simc(later(estimate.log.model(), dt_s / 2)).gains
+
+
+class PatternAlone:
+    """Recogniser and pattern rule, nothing else: no model, no cause, no proof, no trial."""
+
+    def __init__(self, table: GainTable, wanted: RetunerSettings) -> None:
+        self.table = table
+        self.finder = ResponseFinder(table.regions, self.gains_at, wanted)
+        self.rule = PatternSettings(alone=True)
+
+    def gains_at(self, region: int, x: float, x2: float) -> PidGains:
+        """The gains in force."""
+        return self.table.at(region, x, x2)
+
+    def observe(self, sample: LoopSample) -> tuple[int, PidGains] | None:
+        """What the pattern of a completed response asks for."""
+        seen = self.finder.step(sample)
+        if not isinstance(seen, Completed):
+            return None
+        gains = self.table.gains_of(seen.region)
+        advice = pattern_rule(seen.response, self.finder.window(seen.response), gains, None, self.rule)
+        return None if advice.tuning is None else (seen.region, advice.tuning.gains)
+
+    def written(self, region: int, gains: PidGains) -> None:
+        """The controller runs them now."""
+        self.table = self.table.with_gains(region, gains)
+        self.finder.gains_changed()
 
 
 # ---- The standard batch of processes that PID rules are tried on.

@@ -58,6 +58,7 @@ def weighed(
         "stands": lambda *_: False,
         "exempt_from_confirmation": lambda *_: False,
         "is_known": lambda *_: False,
+        "step_without_model": lambda *_: SimpleNamespace(sentence="", numbers=NO_NUMBERS, tuning=None),
         "doubt_of": lambda *_: Diagnosis(doubt, 0.9, {}, "") if doubt else None,
     }
     for name, value in given.items():
@@ -88,7 +89,7 @@ def weighed(
         contested=contested,
     )
     found = findings.region_model(Findings(Question(record, SETTINGS, 1, Trial()), learned=learned, unexplained=1.0))
-    return decide.not_known(found) or decide.by_model(found)
+    return decide.without_a_model(found) or decide.by_model(found)
 
 
 def test_a_rival_that_takes_over_brings_what_it_rests_on(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,4 +1,4 @@
-"""[adaptation.admission]: from the file into the retuner's settings, and what is refused; what older files have."""
+"""[adaptation.admission] and [adaptation.pattern]: from the file into the retuner's settings, and what is refused."""
 
 from pathlib import Path
 
@@ -6,6 +6,7 @@ import pytest
 
 from retuner.adaptive.supervision.admission import AdmissionSettings
 from retuner.adaptive.supervision.decision import Mode
+from retuner.adaptive.without_model.proposal_without_model import WithoutModelSettings
 from retuner.cli import main
 from retuner.config.loading import load_config, parse_config
 from retuner.session.assembly import retuner_settings
@@ -37,6 +38,7 @@ def written(tmp_path: Path, text: str) -> Path:
 def test_a_file_that_says_nothing_means_the_rooms_own_defaults(tmp_path: Path) -> None:
     settings = retuner_settings(load_config(written(tmp_path, "")))
     assert settings.admission == AdmissionSettings()
+    assert settings.without_model == WithoutModelSettings()
 
 
 def test_what_the_file_says_reaches_the_retuner(tmp_path: Path) -> None:
@@ -44,20 +46,22 @@ def test_what_the_file_says_reaches_the_retuner(tmp_path: Path) -> None:
 [adaptation.admission]
 limited_share = 0.2
 moves_most = 7
+[adaptation.pattern]
+allowed = false
+step_up = 1.1
 """
     settings = retuner_settings(load_config(written(tmp_path, text)))
     assert (settings.admission.limited_share, settings.admission.moves_most) == (0.2, 7)
-
-
-def test_a_file_with_the_section_that_has_left_is_read(tmp_path: Path) -> None:
-    old, now = (load_config(written(tmp_path, text)) for text in ("[adaptation.pattern]\nallowed = false\n", ""))
-    assert old == now
+    assert settings.without_model.allowed is False
+    assert settings.without_model.pattern.step_up == 1.1
 
 
 @pytest.mark.parametrize(
     ("text", "named"),
     [
         ("[adaptation.admission]\nexcitation_bands = 1.0\n", "excitation_bands"),
+        ("[adaptation.pattern]\nstep_up = 3.0\n", "step_up"),
+        ("[adaptation.pattern]\ndead_zone = 0.2\n", "dead_zone"),
         ("[adaptation]\npretune_step_pct = 80.0\n", "pretune_step_pct"),
     ],
 )

@@ -24,7 +24,7 @@ ORDER = (
         "declared_setting", "display_hook", "decision_numbers", "signals", "process", "loop", "interaction", "rules",
         "indexes", "controller_settings", "experiments",
         "fit", "identification", "valve", "explanations", "schedule_design", "schedule_choice", "region_model", "guard",
-        "trial", "choice", "diagnosis", "cause_odds",
+        "trial", "choice", "diagnosis", "cause_odds", "without_model",
         "supervision", "orders", "setpoint_bumps", "audit",
     )),
     *(f"drivers.{name}" for name in (
@@ -74,7 +74,7 @@ MOST_FILES = 16  # in a package, beside its __init__.py
 LONGEST_FILE = 600  # lines: one whole story
 LONGEST_FUNCTION = 60  # lines of code without docstring, comments and blank lines
 # what these weigh are typed values (adaptive/decision_numbers.py)
-DECIDING = ("guard", "trial", "choice", "supervision", "orders")
+DECIDING = ("guard", "trial", "choice", "without_model", "supervision", "orders")
 EDGE = {"to_dict", "gains_dict", "_seen_out"}  # functions that write the plain form
 
 

@@ -1,19 +1,19 @@
 """[adaptation]: what the retuner may do, and the limits of the proof before a change.
 
-[adaptation.limits], [adaptation.admission] and [adaptation.bumps]: how far the guard lets gains go, what may teach a
-region, and whether the setpoint may be bumped. The settings are declared where they are used.
+[adaptation.limits], [adaptation.admission], [adaptation.pattern] and [adaptation.bumps]: how far the guard lets
+gains go, what may teach a region, what may be done without a model, and whether the setpoint may be bumped. The
+settings are declared where they are used.
 """
 
 from collections.abc import Iterator
 from typing import Literal
-
-from pydantic import model_validator
 
 from retuner.adaptive.diagnosis.cause import CauseSettings
 from retuner.adaptive.guard.guard_settings import GuardSettings
 from retuner.adaptive.setpoint_bumps.bump_settings import BumpSettings
 from retuner.adaptive.supervision.admission import AdmissionSettings
 from retuner.adaptive.trial.trial_settings import TrialSettings
+from retuner.adaptive.without_model.pattern_rule import PatternSettings
 from retuner.config.section import Many, Problem, Section, holding, setting
 
 GENERAL = ("ms_nominal", "ms_worst", "tau_c_max_ratio", "kc_min", "kc_max", "step_up_max", "step_down_max")
@@ -42,6 +42,24 @@ class AdmissionConfig(Section):
     """[adaptation.admission]: which responses may update the model of their region."""
 
 
+@holding(PatternSettings)
+class PatternConfig(Section):
+    """[adaptation.pattern]: small steps by the look of a response, where no process can be identified."""
+
+    allowed: bool = setting(
+        "Whether gains may be moved without a model",
+        default=True,
+        source="in small steps only, on trial, and never for other causes",
+    )
+
+    def problems(self) -> Iterator[Problem]:
+        """Targets that the dead zone leaves."""
+        given = self.model_dump()
+        for name in ("overshoot_target", "damping_target"):
+            if given["dead_zone"] > given[name]:
+                yield Problem(("dead_zone",), f"= {given['dead_zone']:g} must be at most {name} = {given[name]:g}")
+
+
 @holding(BumpSettings)
 class BumpsConfig(Section):
     """[adaptation.bumps]: small setpoint bumps where nothing else shows the process, in modes trial and auto."""
@@ -63,12 +81,6 @@ class BumpsConfig(Section):
 @holding(GuardSettings, narrower=NARROWER)
 class AdaptationConfig(Section):
     """[adaptation]: mode, rule and limits of changes."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _without_what_left(cls, given: object) -> object:
-        """The section without [adaptation.pattern], which older files may have: no change is made without a model."""
-        return {key: value for key, value in given.items() if key != "pattern"} if isinstance(given, dict) else given
 
     mode: Literal["off", "advise", "trial", "auto"] = setting(
         "off: only watch; advise: propose, and write what an operator approves; trial: write one proved change a "
@@ -93,6 +105,7 @@ class AdaptationConfig(Section):
     admission: AdmissionConfig = setting(
         "Which responses may update a region's model", default=AdmissionConfig(), source="see there"
     )
+    pattern: PatternConfig = setting("What may be done without a model", default=PatternConfig(), source="see there")
     bumps: BumpsConfig = setting(
         "Small setpoint bumps where days pass without evidence",
         default=BumpsConfig(),

@@ -12,7 +12,8 @@ import math
 from collections.abc import Sequence
 from itertools import pairwise
 
-from retuner.adaptive.guard.step_size import extent
+from retuner.adaptive.decision_numbers import Basis
+from retuner.adaptive.guard.step_size import extent, less_of_everything
 from retuner.adaptive.interaction.common_windows import OneLoopRecord, seen_in
 from retuner.adaptive.interaction.together import Closed, together
 from retuner.adaptive.supervision.decide import decide
@@ -64,21 +65,24 @@ class Among:
     def answered(self, question: Question, result: Outcome) -> Outcome:
         """The answer to a question; with half of its change, or none, where the others do not survive it."""
         gains = None if result.proof is None else result.proof.gains
-        words = "" if gains is None else self._against(gains)
+        words = "" if gains is None else self._against(gains, result.basis)
         if gains is None or not words:
             return result
         half = decide(half_way(question, gains))
         less = half.proof.gains if half.proof is not None and half.proof.accepted else None
-        if less is None or self._against(less):
+        if less is None or self._against(less, half.basis):
             return without_change(result, words)
         return replace(half, reason=f"{IN_PART}{words}: {half.reason}")
 
-    def _against(self, gains: PidGains) -> str:
-        """What speaks against these gains; empty for nothing, as where the plant is not known."""
-        plant = seen_in(self.records, self.dt_s)
-        if plant is None:
-            return ""
+    def _against(self, gains: PidGains, basis: Basis | None) -> str:
+        """What speaks against these gains; empty for nothing. Where the plant is not known, that nothing else is."""
+        plant, own = seen_in(self.records, self.dt_s), self.closed[self.own].gains
         others = " and ".join(name for i, name in enumerate(self.names) if i != self.own)
+        if plant is None:
+            blind = basis in {Basis.PATTERN, Basis.SLOW_OSCILLATION} and not less_of_everything(own, gains)
+            return (
+                f"refused: without a model, no more action before {others} on the same plant is known" if blind else ""
+            )
         now = together(plant, self.closed)
         changed = [replace(one, gains=gains) if i == self.own else one for i, one in enumerate(self.closed)]
         then = together(plant, changed)

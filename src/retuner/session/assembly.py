@@ -12,6 +12,8 @@ from retuner.adaptive.supervision.decision import Mode
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings, demanded
 from retuner.adaptive.trial.trial_settings import TrialSettings
+from retuner.adaptive.without_model.pattern_rule import PatternSettings
+from retuner.adaptive.without_model.proposal_without_model import WithoutModelSettings
 from retuner.config import Config
 from retuner.config.foreign import UNPROVED_ORDER
 from retuner.config.loading import signal_source
@@ -59,6 +61,8 @@ def retuner_settings(config: Config, mode: Mode | None = None) -> RetunerSetting
     """The retuner's settings; mode overrides the configured one. A device that is only watched is only advised on."""
     a, loop = config.adaptation, config.loop
     mode = _permitted(config, mode)
+    # what may be done where no process can be identified: [adaptation.pattern]
+    pattern = config.adaptation.pattern
     settings = RetunerSettings(
         sample_time_s=loop.sample_time_s,
         pv_span=loop.pv_max - loop.pv_min,
@@ -76,6 +80,9 @@ def retuner_settings(config: Config, mode: Mode | None = None) -> RetunerSetting
             None if region.locked is None else locks(region.locked) for region in config.schedule.regions
         ),
         admission=AdmissionSettings(**a.admission.model_dump()),
+        without_model=WithoutModelSettings(
+            PatternSettings(**pattern.model_dump(exclude={"allowed"})), allowed=pattern.allowed
+        ),
         units=_of_foreign(config, "vendor_units"),
     )
     return demanded(settings)

@@ -60,28 +60,16 @@ def digest(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-LEFT = {
-    "allowed": True,
-    "overshoot_target": 0.15,
-    "damping_target": 0.15,
-    "dead_zone": 0.05,
-    "step_up": 1.3,
-    "step_down": 1.5,
-}
-"""[adaptation.pattern] as it was by default; it no longer acts."""
-
-
 def about(config: Config) -> str:
     """A hash of what a memory depends on: loop, schedule, adaptation, and which controller it is.
 
     Not on which proposal the schedule was taken from: that is history, and changes nothing of what runs. Nor on which
-    loops share its plant: what is known of the loop itself stays. Sections count by the names that they first had, and
-    one that has left counts by its defaults, so that memories of earlier releases are still of the same configuration.
+    loops share its plant: what is known of the loop itself stays. Sections count by the names that they first had, so
+    that memories of earlier releases are still of the same configuration.
     """
     sections = ("loop", "schedule", "adaptation")
     body = {name: getattr(config, name).model_dump(mode="json", exclude={"proposal", "plant"}) for name in sections}
     body["adaptation"]["nudge"] = body["adaptation"].pop("bumps")
-    body["adaptation"]["pattern"] = LEFT
     return digest(json.dumps({**body, "node": config.bus.node}, sort_keys=True))
 
 

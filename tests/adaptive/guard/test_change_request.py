@@ -7,12 +7,12 @@ import pytest
 from guard_cases import BEST, GAINS, MODEL, times
 
 from retuner.adaptive.fit.structure import parameters_of
-from retuner.adaptive.guard import KC_ONLY, NO_DERIVATIVE, NO_LOCKS, GuardSettings, Ruling, allowed, prove
+from retuner.adaptive.guard import KC_ONLY, NO_DERIVATIVE, NO_LOCKS, GuardSettings, Ruling, Support, allowed, prove
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.region_model.region_model import RegionModel, StructureModel
 from retuner.adaptive.region_model.update import predicted
-from retuner.adaptive.supervision.known_processes import KnownProcesses, change_request
+from retuner.adaptive.supervision.known_processes import KnownProcesses, change_request, unproved_request
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable
@@ -79,7 +79,16 @@ def test_locks_of_the_region_come_before_those_of_the_loop() -> None:
 def test_a_swing_that_does_not_die_is_urgent(damping: float | None, urgent: bool) -> None:
     asked = change_request(BEST, 1, START, KnownProcesses(NOW, {1: region_model(2.0)}, 0.0, SETTINGS), None, damping)
     assert asked.urgent == urgent
+    assert unproved_request(BEST, 1, (NOW, START), SETTINGS, damping).urgent == urgent
     late = replace(SETTINGS, guard=GuardSettings(urgent_damping=2.0))
     assert not change_request(
         BEST, 1, START, KnownProcesses(NOW, {1: region_model(2.0)}, 0.0, late), None, damping
     ).urgent
+
+
+def test_without_a_model_the_guard_is_told_so() -> None:
+    asked = unproved_request(BEST, 1, (NOW, START), SETTINGS)
+    assert asked.models == ()
+    assert asked.evidence.support == Support.PATTERN
+    assert asked.locks == KC_ONLY
+    assert (asked.in_force, asked.commissioned) == (times(0.8, 0.8), times(0.5, 0.5))

@@ -12,8 +12,9 @@ from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.performance import performance
 from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
 from retuner.adaptive.rules.simc import simc
+from retuner.adaptive.signals.response import Ending, Peak, Response
 from retuner.adaptive.trial.batch_responses import ClosedLoop, Upset, traces
-from retuner.adaptive.trial.prediction import Prediction, Spread, predict
+from retuner.adaptive.trial.prediction import Prediction, Spread, predict, predict_without_model
 from retuner.adaptive.trial.response_numbers import peaks_of, shape_of, swing
 from retuner.schedule.gains import PidGains
 
@@ -108,6 +109,17 @@ def test_plain_values_and_back() -> None:
 def test_a_spread_has_its_best_between_its_ends(values: tuple[float, float, float]) -> None:
     with pytest.raises(ValueError, match="low <= best <= high"):
         Spread(*values)
+
+
+def test_without_a_model_a_promise_is_no_worse_than_what_was_seen() -> None:
+    peaks = (Peak(1.0, 4.0), Peak(2.0, -2.0), Peak(3.0, 1.2))
+    seen = Response(0.0, 4.0, peaks, Ending.COMPLETE, sp_changed=False, band=0.1)
+    found = predict_without_model(seen, PidGains(2.0, 0.2), PidGains(1.8, 0.16))
+    assert found.load_step.decay.high == pytest.approx(3.2 / 6.0)
+    assert found.load_step.iae.best == pytest.approx(1 / 0.16)
+    assert found.load_before.iae.best == pytest.approx(1 / 0.2)
+    assert math.isinf(found.setpoint.iae.high)
+    assert Prediction.from_dict(json.loads(json.dumps(found.to_dict(), allow_nan=False))) == found
 
 
 @pytest.mark.parametrize(

@@ -117,6 +117,16 @@ def test_what_is_not_known_of_the_plant_counts_nothing() -> None:
     assert among((0, 0)).answered(question(0, 1), result) is result
 
 
+@pytest.mark.parametrize(("factor", "made"), [(1.2, False), (0.8, True)])
+def test_no_more_action_without_a_model_on_a_plant_that_is_not_known(monkeypatch, factor, *, made):
+    blind = replace(times(factor), basis=Basis.PATTERN)
+    monkeypatch.setattr(deciding, "half_way", lambda question, _: question)
+    monkeypatch.setattr(deciding, "decide", lambda _: blind)
+    found = among((0, 0)).answered(question(0, 1), blind)
+    assert (found.proof is not None) == made
+    assert made or "before bottom on the same plant is known" in found.reason
+
+
 def test_records_of_controllers_that_count_from_different_times_are_put_on_one_clock() -> None:
     first = [(float(i), 0.0, i / 10, 0.0) for i in range(50)]
     late = [(1000.0 + i, 0.0, i / 10, 0.0) for i in range(50)]

@@ -50,7 +50,9 @@ scenario = {{ duration_s = 120.0, steps = [{steps}] }}
 )
 def test_a_session_with_a_refused_change_is_decided_again_byte_for_byte(tmp_path, monkeypatch, capsys, most, code):
     before = PidGains.from_ideal(0.8, 10.0)
-    monkeypatch.setattr(Among, "_against", lambda _, gains: REFUSED if change_factor(before, gains) > most else "")
+    monkeypatch.setattr(
+        Among, "_against", lambda _, gains, _basis: REFUSED if change_factor(before, gains) > most else ""
+    )
     monkeypatch.chdir(tmp_path)
     rest, step = "{ at_s = 0.0, sp = 20.0 }", "{ at_s = 5.0, sp = 25.0 }"
     text = PAIR + LOOP.format(name="one", node=1, steps=f"{rest}, {step}") + LOOP.format(name="two", node=2, steps=rest)
