@@ -20,14 +20,7 @@ import math
 
 import numpy as np
 
-from retuner.adaptive.explanations.process_grid import (
-    DEAD_TIMES,
-    EVERY_LAG,
-    GAINS,
-    BoolArray,
-    second_lags,
-    units,
-)
+from retuner.adaptive.explanations.process_grid import DEAD_TIMES, EVERY_LAG, GAINS, BoolArray, second_lags, units
 from retuner.adaptive.explanations.wandering_load import Prepared, pole_of, reduced, responses
 from retuner.adaptive.fit.engine import compiled
 from retuner.adaptive.signals.sample import FloatArray
@@ -46,24 +39,20 @@ def log_likelihood_of_answers(record: Prepared, direction: int, gain_unit: float
     processes that are asked for, shape (shapes, dead times, gains), which the answer has; others are -inf.
     """
     gains, rows = direction * GAINS * units(EVERY_LAG)[:, :, 0] / gain_unit, len(record.pv) - ORDER
+    time = np.arange(float(max(rows, 0)))
     found, row = np.where(asked, 0.0, -math.inf), 0  # a window shorter than the past says nothing
     for lag in EVERY_LAG:
         away = (pole_of(lag),) if lag < 0 else ()
         pv = reduced(record.pv, away)
         for x, second in zip(responses(record.co, lag), second_lags(lag), strict=True):
             if rows > 2 * ORDER and (late := np.flatnonzero(asked[row].any(axis=1))).size:
-                starts = [_start(one, rows) for one in ((second,) if away else (lag, second)) if one]
-                rest = np.linalg.qr(np.array([np.ones(rows), *starts]).T)[0].T
-                noise = rows * record.resolution**2
-                left = _left(pv, x, rest, np.array(DEAD_TIMES)[late], gains[row], asked[row, late], noise)
+                falls = [pole_of(one) ** time for one in ((second,) if away else (lag, second)) if 0 < one < math.inf]
+                rest = np.linalg.qr(np.array([np.ones(rows), *falls, *([time] if math.isinf(lag) else [])]).T)[0].T
+                given = pv, x, rest, np.array(DEAD_TIMES)[late], gains[row], asked[row, late]
+                left = _left(*given, noise=rows * record.resolution**2)
                 found[row, late] = -0.5 * (rows - ORDER - len(rest)) * np.log(left)
             row += 1
     return np.where(asked, found, -math.inf)
-
-
-def _start(lag: float, n: int) -> FloatArray:
-    """What an unknown start of a lag adds."""
-    return np.asarray(np.linspace(0.0, 1.0, n) if math.isinf(lag) else pole_of(lag) ** np.arange(n), dtype=np.float64)
 
 
 def _left(
@@ -77,12 +66,9 @@ def _left(
     if (engine := compiled()) is not None:
         spans = np.stack([np.argmax(asked, axis=1), len(gains) - np.argmax(asked[:, ::-1], axis=1)], axis=1)
         return np.asarray(engine.any_load(pv, x, rest, dead_times, gains, spans.astype(np.float64), ORDER, noise))
-    longest = math.ceil(max(DEAD_TIMES)) + 1
-    before = np.concatenate([np.zeros(longest), x])
-    places = (longest - dead_times)[:, None] + np.arange(len(x))
-    late = np.interp(places, np.arange(len(before)), before)
-    pairs = (pv[None], pv[None]), (pv[None], late), (late, late)
-    own, both, by_x = (_products(one, other, rest) for one, other in pairs)
+    samples = np.arange(-1.0, len(x))
+    late = np.interp(samples[1:] - dead_times[:, None], samples, np.concatenate([[0.0], x]))
+    own, both, by_x = (_products(a, b, rest) for a, b in ((pv[None], pv[None]), (pv[None], late), (late, late)))
     k = gains[:, None, None]
     forms = own[:, None] - k * (both + np.swapaxes(both, 1, 2))[:, None] + k**2 * by_x[:, None]
     forms = forms[..., ::-1, ::-1] + noise * np.eye(

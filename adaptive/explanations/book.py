@@ -5,16 +5,13 @@ without a tone from outside and with one (tone.py).
     1/T       its power: what the setpoint makes co do is trusted more than what loads do (wandering_load.py)
     update    ln w  <-  ln w + ln((1 - ODD) L / max L + ODD mean L / max L)
     fade      w  <-  (1 - h) w + h prior,      h = 1 - exp(-t / hazard);      a tone begins and ends likewise
+    told      w   =  A^(s/T_ANSWERS) w_alone^(1 - tone),       once the setpoint has told the process
 
 A tone lasts, so it is kept with each process whether there is one: a single window of it may look like a loop near
 instability, and several would make that sure. Under a tone and by loads alone, next to nothing tells a process from the
 inverse of its controller, which explains pv by co as well: such windows say how likely a tone is. Which process is
-there, the answers to the setpoint say, once there are some, whatever the load (any_load.py). As far as there is no
-tone, what a load that wanders says counts besides (a logarithmic pool: Genest & Zidek 1986):
-
-    told      w  ~  A^(s/T_ANSWERS) w_alone^(1 - tone)
-
-with A the likelihood under a load of any spectrum, and s the setpoint's share in what moves the window.
+there, the answers to the setpoint say, once there are some, whatever the load (A: any_load.py; s: the setpoint's share
+in what moves the window). Without a tone, what a load that wanders says counts besides (Genest & Zidek 1986).
 
 No window makes anything sure: it may be an odd one, that says nothing. Windows add up on one grid (process_grid.py),
 because gains are counted in a unit, and time in an interval, that stay: those of the loop when its book was begun.

@@ -158,14 +158,11 @@ def by_book(book: Book, gains: PidGains, settings: BookSettings) -> ByBook:
     shown = np.minimum(cells.peaks(gains), MS_SHOWN)
     middle, low, most = (quantile(shown, cells.weights, share) for share in (0.5, 0.05, 0.95))
     numbers = BookNumbers(high, room, middle, low, most, float(book.records), book.tone)
-    orders = () if told else ORDERS  # answers to the setpoint tell the process whatever the spectrum of the load
-    by_orders, tried = [book.drawn(settings.drawn, order) for order in orders], list[PidGains]()
+    by_orders, tried = [book.drawn(settings.drawn, order) for order in (() if told else ORDERS)], list[PidGains]()
     integral_times = [_integral_times(book, one) for one in (drawn, *by_orders)]
     if told or max(room, high) >= settings.more_odds:  # also where Ms is too high, if more action makes it less
-        tried += _sets(gains, MORE_OF_ALL, integral_times, settings)
-    if told:
-        for kind in (MORE_GAIN, MORE_INTEGRAL) if high >= settings.less_odds else (MORE_GAIN,):
-            tried += _sets(gains, kind, integral_times, settings)
+        kinds = (MORE_OF_ALL, MORE_GAIN, MORE_INTEGRAL)[: 1 + told + (told and high >= settings.less_odds)]
+        tried = [one for kind in kinds for one in _sets(gains, kind, integral_times, settings)]
     leans, best = 0, _best(drawn, gains, tried, settings, more=True)
     if best is not None and gain(drawn, gains, best[1], settings)[1] >= settings.more_odds:
         leans = 1
