@@ -309,15 +309,17 @@ SPOILT = frozenset({
 
 
 def robust_by_all_samples(found: Findings, winner: Outcome) -> bool:
-    """Whether the set on trial is robust on next to all processes by all samples, those of its trial among them: then a
-    load that wanders explains a response that swings. They are among them with a look, now or at a response before. A
-    tone that moved the loop before explains it as well, where the set is robust on most of them.
+    """Whether the set on trial is robust on next to all processes by all samples, those of its trial among them (with a
+    look, now or before), and by loads alone, as answers before may be another process's: then a load that wanders
+    explains a response that swings. So does a tone that moved the loop before, where the set is robust on most of them.
     """
     numbers, settings, trial = winner.all_samples, found.settings.book, found.question.trial
-    if numbers is None or (winner.book is None and trial.silent + trial.kept == 0):
+    if numbers is None or not (book := winner.book or (found.record.book if trial.silent + trial.kept else None)):
         return False
-    tone = numbers.book_tone >= settings.less_odds
-    return numbers.book_high <= (HALF if tone else 1.0 - settings.less_odds)
+    if numbers.book_tone >= settings.less_odds:
+        return numbers.book_high <= HALF
+    by_loads = shares(replace(book, moved=0.0).drawn(settings.drawn), found.record.in_force, settings)[0]
+    return max(numbers.book_high, by_loads) <= 1.0 - settings.less_odds
 
 
 MOST_LIMITED = 0.02  # share of samples with the output at a limit up to which they show the loop

@@ -886,7 +886,7 @@ def test_a_set_on_trial_is_robust_by_all_samples_once_those_of_its_trial_are_amo
     looked: bool, silent: int, times: float, robust: bool
 ) -> None:
     book = after(scaled(times), 3)
-    record = SimpleNamespace(table=SimpleNamespace(lookup=Lookup.HARD))
+    record = SimpleNamespace(book=book, in_force=scaled(times), table=SimpleNamespace(lookup=Lookup.HARD))
     question: Any = SimpleNamespace(record=record, trial=Trial(silent=silent), settings=RetunerSettings(1.0, 100.0))
     told = by_book(book, scaled(times), SETTINGS).numbers
     winner = Outcome("unknown", "", book=book if looked else None, all_samples=told)
@@ -897,6 +897,9 @@ def test_a_set_on_trial_is_robust_by_all_samples_once_those_of_its_trial_are_amo
         assert by_all_samples.robust_by_all_samples(Findings(question), under) is (
             (looked or silent > 0) and tone > 0.5
         )
+    other = replace(winner, book=after(scaled(2.6), 3), all_samples=told)  # answers before tell of another process
+    record.in_force = scaled(2.6)
+    assert not by_all_samples.robust_by_all_samples(Findings(question), other)
 
 
 def test_a_window_shorter_than_the_interval_of_the_book_says_nothing() -> None:
