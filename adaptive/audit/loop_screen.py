@@ -29,6 +29,7 @@ from retuner.adaptive.indexes.condition import (
     STILL_STRETCH,
     Condition,
     Traits,
+    asks,
     condition_of,
     escapes,
     runs_by_itself,
@@ -235,6 +236,7 @@ def _traits(record: Window, sums: RecordSums, noise: tuple[float, float], limits
         offset=abs(sums.error_mean) / spread if spread > 0 else 0.0,
         pv_moves=sums.pv_slow > of_noise * noise[0],
         co_moves=sums.co_slow > of_noise * noise[1],
+        asks=lambda: asks(record),
         escapes=lambda: escapes(record),
         runs=lambda: runs_by_itself(record),
     )

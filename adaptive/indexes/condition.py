@@ -4,7 +4,7 @@ In this order, the first that applies:
 
     dead pv, dead co      the signal does not change: a broken sensor, a closed line, a flat-lined tag
     no response           co moves and pv does not follow: it stays within its noise, or on a few values of its grid,
-                          while co goes one way all the time, or the setpoint asks for more
+                          while the setpoint asks for more, or, beside its setpoint, while co goes one way all the time
     manual                co stands exactly still for most of the time although the error would move it
     not controlling       the error stays far on one side and co is not at a limit: no integral action, or another
                           controller has the valve
@@ -29,6 +29,7 @@ STILL_STRETCH = 20  # samples of constant co that make a long stretch, at least
 STILL_LENGTH = 0.1  # length of a standstill as a share of the record: a rounded co stands still for a while as well
 MOVING_SHARE = 0.3  # share of samples with a setpoint change from which the setpoint moves all the time
 OFFSET_RATIO = 6.0  # mean error over its standard deviation from which it stands far on one side
+BESIDE = 1.0  # the same up to which pv rests at its setpoint: held against a load, where co goes one way
 NOISE_RATIO = 1.6  # slow movement over what averaged noise would leave, from which a signal moves
 ASKED_SIGMAS = 8.0  # A setpoint step of so many standard deviations of the noise shows in any pv that follows
 AVERAGED = 16  # samples averaged to see slow movement
@@ -85,8 +86,8 @@ class Traits:
 
     dead_pv, dead_co : the signal is constant. still : share of samples in long stretches of constant co. at_limit :
     share of samples with co at a limit. sp_moving, offset : as in RecordCondition. pv_moves, co_moves : slowly, more
-    than noise does. escapes : co goes one way, or the setpoint asks for more than noise; asked where pv does not move.
-    runs : co goes one way by itself; asked where pv stays far from its setpoint.
+    than noise does. asks : the setpoint asks for more than noise, escapes : co goes one way; both where pv does not
+    move. runs : co goes one way by itself; asked where pv stays far from its setpoint.
     """
 
     dead_pv: bool
@@ -97,6 +98,7 @@ class Traits:
     offset: float
     pv_moves: bool
     co_moves: bool
+    asks: Callable[[], bool]
     escapes: Callable[[], bool]
     runs: Callable[[], bool]
 
@@ -117,7 +119,8 @@ def record_condition(
     moving = float(np.mean(np.diff(window.sp) != 0))
     traits = Traits(
         _dead(window.pv), _dead(window.co), still, at_limit_share, moving, offset,
-        _slow_movement(window.pv), _slow_movement(window.co), lambda: escapes(window), lambda: runs_by_itself(window),
+        _slow_movement(window.pv), _slow_movement(window.co),
+        lambda: asks(window), lambda: escapes(window), lambda: runs_by_itself(window),
     )  # fmt: skip
     return condition_of(traits, oscillates=oscillates)
 
@@ -139,21 +142,22 @@ def _condition(traits: Traits) -> Condition:
     if traits.still - traits.at_limit > STILL_SHARE:
         return Condition.MANUAL
     if not traits.pv_moves and traits.sp_moving < MOVING_SHARE:
-        return Condition.NO_RESPONSE if traits.co_moves and traits.escapes() else Condition.QUIET
+        if not (traits.co_moves and (traits.asks() or traits.escapes())):
+            return Condition.QUIET
+        return Condition.NO_RESPONSE if traits.offset > BESIDE or traits.asks() else Condition.NORMAL
     if traits.offset > OFFSET_RATIO and traits.at_limit < STILL_SHARE:
         return Condition.NO_RESPONSE if traits.co_moves and traits.runs() else Condition.NOT_CONTROLLING
     return Condition.MOVING_SETPOINT if traits.sp_moving > MOVING_SHARE else Condition.NORMAL
 
 
-def escapes(window: Window) -> bool:
-    """Whether co goes one way all the time, or the setpoint asks for more than noise: a pv would answer."""
-    # Whether the setpoint asked for a movement that stands out of pv's noise
-    return _escapes(window) or (float(np.ptp(window.sp)) > ASKED_SIGMAS * noise_sigma(window.pv))
+def asks(window: Window) -> bool:
+    """Whether the setpoint asks for a movement that stands out of pv's noise, and leaves time for one."""
+    return float(np.ptp(window.sp[: max(len(window.sp) - AVERAGED, 1)])) > ASKED_SIGMAS * noise_sigma(window.pv)
 
 
 def runs_by_itself(window: Window) -> bool:
     """Whether co goes one way and not as the error does, so that it is integral action that moves it."""
-    return _escapes(window) and abs(float(np.corrcoef(window.co, window.sp - window.pv)[0, 1])) < PROPORTIONAL
+    return escapes(window) and abs(float(np.corrcoef(window.co, window.sp - window.pv)[0, 1])) < PROPORTIONAL
 
 
 PROPORTIONAL = 0.97  # correlation of co with the error from which co is proportional to it
@@ -192,7 +196,7 @@ def _slow_movement(x: FloatArray) -> bool:
     return float(np.std(means)) > NOISE_RATIO * noise
 
 
-def _escapes(window: Window) -> bool:
+def escapes(window: Window) -> bool:
     """Whether co travels far in one direction, as an integrator does whose pv does not answer."""
     slow = running_mean(window.co, AVERAGED)
     return 2 * abs(float(slow[-1] - slow[0])) > float(np.sum(np.abs(np.diff(slow))))

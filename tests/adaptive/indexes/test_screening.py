@@ -125,17 +125,22 @@ def test_compression_and_repetition(rng):
 
 def test_conditions(rng):
     noise = 0.01 * rng.normal(size=1000)
-    moving = np.cumsum(rng.normal(size=1000)) / 10
+    moving, back = np.cumsum(rng.normal(size=1000)) / 10, np.sin(np.arange(1000) / 100.0)
     cases = {
         Condition.NORMAL: window(moving, np.roll(moving, 5)),
         Condition.DEAD_PV: window(np.full(1000, 3e-44), moving),
         Condition.DEAD_CO: window(moving, np.ones(1000)),
-        Condition.NO_RESPONSE: window(noise, np.cumsum(np.abs(moving))),
+        Condition.NO_RESPONSE: window(noise + 0.1, np.cumsum(np.abs(moving))),
         Condition.MANUAL: window(moving, np.repeat([10.0, 20, 25, 5], 250)),
         Condition.NOT_CONTROLLING: window(moving + 50, np.roll(moving, 5)),
         Condition.MOVING_SETPOINT: window(moving, np.roll(moving, 5), moving + noise),
         Condition.QUIET: window(noise, -noise),
     }
+    held = window(noise, np.cumsum(np.abs(moving)))
+    assert record_condition(held).condition is Condition.NORMAL  # what does not answer stands beside its setpoint
+    for stepped, condition in ((400, Condition.NO_RESPONSE), (997, Condition.QUIET)):  # the second leaves no time
+        to = np.where(np.arange(1000) < stepped, 0.0, 1.0)
+        assert record_condition(window(noise, back, to)).condition is condition
     for condition, record in cases.items():
         found = record_condition(record)
         assert found.condition == condition
