@@ -10,6 +10,7 @@ from retuner.drivers.device import (
     LeaseChanged,
     RunningChanged,
     WriteDone,
+    WriteFailed,
     WriteRefusedError,
 )
 from retuner.drivers.host.can_device import CanDevice
@@ -119,6 +120,17 @@ def test_a_host_that_died_leaves_the_lease_behind_only_for_its_length(two) -> No
     bench.host = second  # the first one is never polled again
     bench.run(45)
     assert bench.device.lease.owner == OTHER
+
+
+def test_a_write_that_loses_the_lease_half_way_ends_on_the_old_set(bench) -> None:
+    seq = bench.host.begin_write(SECOND, bench.now_s)
+    bench.device.lease.boot()
+    bench.device.pages.drop_staged()
+    take_lease(bench.device, owner=OTHER)
+    (failed,) = [e for e in bench.run(20) if isinstance(e, WriteFailed)]
+    assert failed.seq == seq
+    assert failed.reason == f"host {OTHER} holds the lease"
+    assert bench.device.running.gains == bench.FIRST
 
 
 def test_a_command_waits_for_the_lease(bench) -> None:
