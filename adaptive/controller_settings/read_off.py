@@ -69,7 +69,7 @@ def best_structure(window: Window, usable: BoolArray, largest_lag: int) -> Regre
     lags = [by_increments(window, Structure(lag=lag), usable, sure=False) for lag in range(largest_lag + 1)]
     chosen = by_increments(window, min(lags, key=lambda f: _size(f, usable)).structure, usable)
     levels = by_levels(window, chosen.structure, usable)
-    if chosen.rho < DIFFERENCED or _doubt(levels) < LEVELS_BETTER * _doubt(chosen):
+    if chosen.rho < DIFFERENCED or levels.doubt("kp") < LEVELS_BETTER * chosen.doubt("kp"):
         chosen = levels
     plain = chosen.structure
     for start in (replace(plain, derivative="pv"), replace(plain, derivative="error"), replace(plain, pv_filter_s=1.0)):
@@ -163,11 +163,6 @@ def _filter_found(window: Window, usable: BoolArray, start: Structure, *, levels
             break
         best = fresh
     return replace(best, std={name: wide.std[name] for name in best.std})
-
-
-def _doubt(found: Regression) -> float:
-    """Standard deviation of kp as a share of it, what is not explained included."""
-    return math.hypot(found.spread("kp"), found.unexplained)
 
 
 def signs_agree(values: dict[str, float]) -> bool:
@@ -330,7 +325,7 @@ def _judged(found: Regression, window: Window, settings: LawSettings) -> Setting
         return _refused("the terms that explain co act in opposite directions: this is no PID law", found)
     values, std = _gains(found, window)
     for name, widest in ((found.main, settings.std_limit), ("ki", 2 * settings.std_limit)):
-        wide = math.hypot(found.spread(name), found.unexplained) if values[name] else 0.0
+        wide = found.doubt(name) if values[name] else 0.0
         if wide > widest:
             return _refused(f"{name} is only known to +-{wide:.0%}: too little excitation", found)
     reason = _disagreement(found, window, settings)

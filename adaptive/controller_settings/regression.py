@@ -96,14 +96,13 @@ class Regression:
         value = abs(self.values.get(name, 0.0))
         return self.std[name] / value if value > 0 else math.inf
 
-    @property
-    def unexplained(self) -> float:
-        """What of a gain may be wrong because co is not all explained, as a standard deviation and a share of it.
+    def doubt(self, name: str) -> float:
+        """The same with what may be wrong because co is not all explained.
 
-        Where pv was recorded with errors that the controller did not see, gains come out too small by up to the share
-        that is not explained; the standard deviation of an even distribution over that.
+        Where pv was recorded with errors that the controller did not see, gains come out too small by up to that share;
+        the standard deviation of an even distribution over it.
         """
-        return max(1 - self.explained, 0.0) / math.sqrt(3.0)
+        return math.hypot(self.spread(name), max(1 - self.explained, 0.0) / math.sqrt(3.0))
 
 
 def filtered(x: FloatArray, tau_s: float, dt_s: float) -> FloatArray:
