@@ -266,9 +266,8 @@ def _words(
     tried = robustness_words(found.ms_tried, found.unstable_tried, found.models)
     before = robustness_words(found.ms_before, found.unstable_before, found.models)
     words = f"over {models_words(found.models)}: trial gains {tried}, previous gains {before}"
-    if not (found.unstable_tried or found.unstable_before) and max(found.ms_tried, found.ms_before) <= (
-        settings.harmless_ms
-    ):
+    robust = max(found.ms_tried, found.ms_before) <= settings.harmless_ms
+    if robust and not (found.unstable_tried or found.unstable_before):
         words += f"; both are robust (up to {settings.harmless_ms:g})"
     if found.something_else > SOMETHING_ELSE:
         words += f"; {found.something_else:.0%} chance that something else explains this"
