@@ -11,12 +11,12 @@ fifth from run to run: more rounds help.
 """
 
 import argparse
+import json
 import os
 import statistics
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 import tomllib
 from collections.abc import Callable, Iterator
@@ -25,13 +25,12 @@ from functools import partial
 from pathlib import Path
 
 import can
-import numpy as np
 from bus_simulation.device_end import LagPlant
 from bus_simulation.in_thread import InThread
 from cases import diagnosis
 from startup import cpu_s, write_record
 
-from retuner import PidController, PidGains, identify
+from retuner import PidGains, identify
 from retuner.adaptive.explanations.valve_odds import log_odds_of_valve
 from retuner.adaptive.explanations.wandering_load import Prepared, log_likelihood
 from retuner.adaptive.fit import engine
@@ -52,8 +51,6 @@ WORSE = 1.1
 SEED, RECORDS = 4040, 8
 HELP = ("", "run", "report", "approve", "replay", "experiment", "identify", "diagnose", "audit", "schedule")
 COMMAND = "import sys; from retuner.cli import main; sys.exit(main({}))"
-DECIDING_S = 0.005
-"""A step of PidController that takes longer decided something."""
 SETTLED_SAMPLES = 136
 """After so many no stamp of the lease is waited for."""
 BURST, BURSTS = 64, 500
@@ -119,22 +116,9 @@ def of_commands(base: float) -> Iterator[tuple[str, float]]:
 
 
 def on_line(base: float) -> Iterator[tuple[str, float]]:
-    """A decision of PidController on a loop of 10 s with a dead time of 3 s: median and worst, after the first.
-
-    The loop waits for the thread that loads what a decision needs, as one in real time does between its samples.
-    """
-    rng, dt, y = np.random.default_rng(SEED), 0.5, 50.0
-    controller = PidController(PidGains(0.6, 0.12), dt_s=dt, pv_range=(0, 100))
-    late, times = [50.0] * 6, []
-    for i in range(4000):
-        setpoint = 60.0 if (i // 250) % 2 else 50.0
-        begun = time.process_time()
-        late.append(controller.step(setpoint, y + float(rng.normal(0, 0.05))))
-        times.append(time.process_time() - begun)
-        for beside in threading.enumerate()[1:]:
-            beside.join()
-        y += dt / 10.0 * (0.8 * (late.pop(0) - 50.0) + 50.0 - y)
-    decided = [t for t in times if t > DECIDING_S][1:]
+    """A decision of PidController in a process of its own (decisions.py): median and worst, after the first."""
+    program = [sys.executable, "-P", str(HISTORY.with_name("decisions.py"))]
+    decided = json.loads(subprocess.run(program, stdout=subprocess.PIPE, check=True).stdout)[1:]
     yield "a decision on line, median", statistics.median(decided) / base
     yield "a decision on line, worst", max(decided) / base
 
