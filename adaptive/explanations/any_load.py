@@ -37,7 +37,7 @@ def log_likelihood_of_answers(record: Prepared, direction: int, gain_unit: float
     processes that are asked for, shape (shapes, dead times, gains), which the answer has; others are -inf.
     """
     gains, rows = direction * GAINS * units(EVERY_LAG)[:, :, 0] / gain_unit, len(record.pv) - ORDER
-    time = np.arange(float(max(rows, 0)))
+    time, dead = np.arange(float(max(rows, 0))), np.array(DEAD_TIMES)
     found, row = np.where(asked, 0.0, -math.inf), 0  # a window shorter than the past says nothing
     for lag in EVERY_LAG:
         away = (pole_of(lag),) if lag < 0 else ()
@@ -46,8 +46,7 @@ def log_likelihood_of_answers(record: Prepared, direction: int, gain_unit: float
             if rows > 2 * ORDER and (late := np.flatnonzero(asked[row].any(axis=1))).size:
                 falls = [pole_of(one) ** time for one in ((second,) if away else (lag, second)) if 0 < one < math.inf]
                 rest = np.linalg.qr(np.array([np.ones(rows), *falls, *([time] if math.isinf(lag) else [])]).T)[0].T
-                given = pv, x, rest, np.array(DEAD_TIMES)[late], gains[row], asked[row, late]
-                left = _left(*given, noise=rows * record.resolution**2)
+                left = _left(pv, x, rest, dead[late], gains[row], asked[row, late], rows * record.resolution**2)
                 found[row, late] = -0.5 * (rows - ORDER - len(rest)) * np.log(left)
             row += 1
     return np.where(asked, found, -math.inf)
@@ -69,9 +68,7 @@ def _left(
     own, both, by_x = (_products(a, b, rest) for a, b in ((pv[None], pv[None]), (pv[None], late), (late, late)))
     k = gains[:, None, None]
     forms = own[:, None] - k * (both + np.swapaxes(both, 1, 2))[:, None] + k**2 * by_x[:, None]
-    forms = forms[..., ::-1, ::-1] + noise * np.eye(
-        ORDER + 1
-    )  # the sample itself is the last: its pivot is what is left
+    forms = forms[..., ::-1, ::-1] + noise * np.eye(ORDER + 1)  # the sample itself is last: its pivot is left
     return np.asarray(np.linalg.cholesky(forms)[..., -1, -1] ** 2)
 
 
