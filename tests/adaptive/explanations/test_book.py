@@ -231,6 +231,22 @@ def test_a_dead_time_of_many_samples_is_told(kc: float, *, tight: bool) -> None:
     assert tight or told.book_high < 0.1
 
 
+def test_where_the_setpoint_has_told_loads_count_besides_as_far_as_there_is_no_tone() -> None:
+    """Answers that fit all alike leave what loads alone say; under a tone they leave all as likely as each other."""
+    book = update(begun(), recorded(GOOD, 7))
+    planes = np.frombuffer(book.levels, dtype=np.uint8).reshape(PLANES).copy()
+    possible = planes[0] != DEEPEST
+    likely = planes[0, possible]
+    rare = np.minimum(likely.astype(int) + 120, DEEPEST - 1)  # a four hundredth
+    planes[ANSWERS, possible] = 0
+    for toned in (False, True):
+        planes[0, possible], planes[1, possible] = (rare, likely) if toned else (likely, rare)
+        alike = replace(book, levels=planes.tobytes(), whole=planes.tobytes())
+        told, by_loads = (replace(alike, moved=moved).weights()[possible] for moved in (1.0, 0.0))
+        assert abs(alike.tone - toned) < 0.05
+        assert told == pytest.approx(np.full(len(told), 1.0 / len(told)) if toned else by_loads, rel=0.7)
+
+
 def test_no_window_makes_a_process_impossible() -> None:
     book = update(begun(), recorded(GOOD, 7))
     possible = begun().weights() > 0
