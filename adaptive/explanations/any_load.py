@@ -10,10 +10,8 @@ A load that wanders (wandering_load.py) is one family of spectra. Others, such a
 drift and noise, leave much of themselves when they are whitened so; in closed loop the inverse of the controller then
 explains the rest, and passes for a process. An autoregression that is long enough has every spectrum, peaks as well, so
 what is left is white whatever moves the loop (direct identification in closed loop: Ljung 1999, ch. 13; autoregressions
-for any spectrum: Durbin 1960). It costs ORDER numbers of a window. By loads alone it can tell next to nothing, for then
-the load may be everything; what the setpoint makes co do cannot be explained by it.
-
-A process that runs away is taken as the walk takes it: through 1 - pole q, which the load has as well.
+for any spectrum: Durbin 1960). By loads alone it can tell next to nothing, for then the load may be everything; what
+the setpoint makes co do cannot be explained by it. A process that runs away goes through 1 - pole q, as its load does.
 """
 
 import math
@@ -27,7 +25,7 @@ from retuner.adaptive.signals.sample import FloatArray
 
 ORDER = 20  # of the autoregression; a window of the book has a hundred samples per integral time
 T_ANSWERS = 4.5
-"""What the log-likelihood is divided by before it counts (3 to 8); of Ms told at 90 % the truth lies in 75 to 99 %."""
+"""What the log-likelihood is divided by before it counts, as T_SETPOINT is for a walk; 3 to 8."""
 
 
 def log_likelihood_of_answers(record: Prepared, direction: int, gain_unit: float, asked: BoolArray) -> FloatArray:
@@ -56,7 +54,7 @@ def _left(
     pv: FloatArray, x: FloatArray, rest: FloatArray, dead_times: FloatArray, gains: FloatArray, asked: BoolArray,
     noise: float,
 ) -> FloatArray:  # fmt: skip
-    """What the autoregression leaves of pv - K x, its sum of squares, at every dead time and gain; inf where not asked.
+    """What the autoregression leaves of pv - K x, its sum of squares, at every dead time and gain that is asked.
 
     rest : orthonormal, what it may have besides, shape (number, n - ORDER). noise : sum of squares pv cannot show.
     """

@@ -161,8 +161,10 @@ def by_book(book: Book, gains: PidGains, settings: BookSettings) -> ByBook:
     by_orders, tried = [book.drawn(settings.drawn, order) for order in (() if told else ORDERS)], list[PidGains]()
     integral_times = [_integral_times(book, one) for one in (drawn, *by_orders)]
     if told or max(room, high) >= settings.more_odds:  # also where Ms is too high, if more action makes it less
-        kinds = (MORE_OF_ALL, MORE_GAIN, MORE_INTEGRAL)[: 1 + told + (told and high >= settings.less_odds)]
-        tried = [one for kind in kinds for one in _sets(gains, kind, integral_times, settings)]
+        tried += _sets(gains, MORE_OF_ALL, integral_times, settings)
+    if told:
+        for kind in (MORE_GAIN, MORE_INTEGRAL) if high >= settings.less_odds else (MORE_GAIN,):
+            tried += _sets(gains, kind, integral_times, settings)
     leans, best = 0, _best(drawn, gains, tried, settings, more=True)
     if best is not None and gain(drawn, gains, best[1], settings)[1] >= settings.more_odds:
         leans = 1
