@@ -1,7 +1,8 @@
 """How a setting is declared: once, at the field of the dataclass that uses it.
 
     class Settings:
-        level: float = setting(3.0, "Standard deviations from which a response is worse", 2, 6)
+        level: float = setting(3.0, "Standard deviations from which a response is worse", "2..6")
+        hold_s: float = setting(60.0, "How long it stays", ">0..1e8 s", "a minute")
 
 The declaration is what a reader sees, what the dataclass checks itself against, and what the configuration file's
 section and its reference page are made of: a setting with a source stands in the file.
@@ -40,19 +41,32 @@ class Declared(NamedTuple):
     setting: Setting
 
 
-def setting(
-    default: T,
-    meaning: str,
-    low: float = -math.inf,
-    high: float = math.inf,
-    unit: str = "1",
-    source: str = "",
-    *,
-    absent: bool = False,
-    positive: bool = False,
-) -> T:
-    """A field of a dataclass with its default and its declaration: see Setting."""
-    note = Setting(meaning, low, high, unit, source, absent, positive)
+class SettingLimits(NamedTuple):
+    """What a setting may be. above, below : the end itself is too little, or too much. unit : empty for none."""
+
+    low: float
+    high: float
+    above: bool
+    below: bool
+    unit: str
+
+    @classmethod
+    def of(cls, text: str) -> "SettingLimits":
+        """SettingLimits and unit as a data sheet has them: "0..1e9 s", ">0..1", "2.. samples", "%/pv"."""
+        ends, _, unit = text.partition(" ") if ".." in text else ("..", "", text)
+        low, _, high = ends.partition("..")
+        least, most = low.removeprefix(">"), high.removeprefix("<")
+        return cls(_number(least or "-inf"), _number(most or "inf"), least != low, most != high, unit)
+
+
+def _number(text: str) -> float:
+    return int(text) if text.removeprefix("-").isdigit() else float(text)
+
+
+def setting(default: T, meaning: str, limits: str = "", source: str = "", *, absent: bool = False) -> T:
+    """A field of a dataclass with its default and its declaration: see Setting; limits : as SettingLimits.of reads them."""
+    low, high, positive, _, unit = SettingLimits.of(limits)
+    note = Setting(meaning, low, high, unit or "1", source, absent, positive)
     return field(default=default, metadata={Setting.__name__: note})
 
 

@@ -178,21 +178,21 @@ def signs_agree(values: dict[str, float]) -> bool:
 class LawSettings:
     """Settings of the recovery. Raises ValueError: one is outside its range."""
 
-    fewest_samples: int = setting(50, "Usable samples needed", 20, 1000, "samples")
+    fewest_samples: int = setting(50, "Usable samples needed", "20..1000 samples")
     # a quarter of a second, and settings do not last for ever
     most_samples: int = setting(
-        4000, "Samples of a longer record that are taken, where the error moves most", 1000, 100_000, "samples"
+        4000, "Samples of a longer record that are taken, where the error moves most", "1000..100_000 samples"
     )
-    explained_limit: float = setting(0.8, "Smallest share of co's movement that the law must explain", 0.5, 0.99)
-    std_limit: float = setting(0.15, "Largest standard deviation of kp (of ki without P) as a share of it", 0.01, 0.5)
-    disagreement: float = setting(1.25, "Largest ratio of a gain in the two halves of the record", 1.05, 2)
+    explained_limit: float = setting(0.8, "Smallest share of co's movement that the law must explain", "0.5..0.99")
+    std_limit: float = setting(0.15, "Largest standard deviation of kp (of ki without P) as a share of it", "0.01..0.5")
+    disagreement: float = setting(1.25, "Largest ratio of a gain in the two halves of the record", "1.05..2")
     slow_disagreement: float = setting(
-        1.15, "The same of kp in fast and slow movements, where only another law makes one", 1.05, 2
+        1.15, "The same of kp in fast and slow movements, where only another law makes one", "1.05..2"
     )
     compression_limit: float = setting(
-        3.0, "Largest compression of pv or co by a recorder (Thornhill et al. 2004)", 1.5, 10
+        3.0, "Largest compression of pv or co by a recorder (Thornhill et al. 2004)", "1.5..10"
     )
-    largest_lag: int = setting(1, "Samples from pv to co that are tried", 0, 3, "samples")
+    largest_lag: int = setting(1, "Samples from pv to co that are tried", "0..3 samples")
 
     def __post_init__(self) -> None:
         require_in_range(self, "settings read off")

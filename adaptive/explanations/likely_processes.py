@@ -33,19 +33,19 @@ from retuner.schedule.late_dataclass import dataclass, field
 class WorthSettings:
     """When settings are given. Costs are logarithms of the integrated error. SIMC's own Ms is 1.59 to 1.70."""
 
-    worth: float = setting(0.25, "How much cheaper settings must be expected to be", 0.1, 0.7)
-    ms_bad: float = setting(1.8, "Ms that no more than bad_share of the odds may have", 1.1, 3.5)
-    bad_share: float = setting(0.1, "Share of the odds that may come out badly", 0.02, 0.2)
-    unstable_share: float = setting(0.01, "Share of the odds that may be unstable", 0.0, 0.05)
-    ms_calm: float = setting(1.6, "Ms up to which robustness costs nothing", 1.1, 3.5)
-    risk: float = setting(5.0, "Cost of Ms over it, per logarithm", 2.0, 10.0)
-    unstable: float = setting(8.0, "Cost of an unstable loop", 2.0, 20.0)
+    worth: float = setting(0.25, "How much cheaper settings must be expected to be", "0.1..0.7")
+    ms_bad: float = setting(1.8, "Ms that no more than bad_share of the odds may have", "1.1..3.5")
+    bad_share: float = setting(0.1, "Share of the odds that may come out badly", "0.02..0.2")
+    unstable_share: float = setting(0.01, "Share of the odds that may be unstable", "0..0.05")
+    ms_calm: float = setting(1.6, "Ms up to which robustness costs nothing", "1.1..3.5")
+    risk: float = setting(5.0, "Cost of Ms over it, per logarithm", "2..10")
+    unstable: float = setting(8.0, "Cost of an unstable loop", "2..20")
     most_at_once: float = setting(
-        3.0, "Factor on gain and integral action that a record carries", 1.5, 4.0, source="first_step.py"
+        3.0, "Factor on gain and integral action that a record carries", "1.5..4", "first_step.py"
     )
-    least_at_once: float = setting(0.25, "The same on the gain towards less", 0.1, 0.5)
-    processes: int = setting(250, "Likeliest processes that sets are weighed on", 50, 1000)
-    rules: int = setting(8, "Likeliest processes whose settings are tried", 1, 50)
+    least_at_once: float = setting(0.25, "The same on the gain towards less", "0.1..0.5")
+    processes: int = setting(250, "Likeliest processes that sets are weighed on", "50..1000")
+    rules: int = setting(8, "Likeliest processes whose settings are tried", "1..50")
 
     def __post_init__(self) -> None:
         require_in_range(self, "settings by odds")

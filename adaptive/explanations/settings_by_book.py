@@ -44,7 +44,7 @@ from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.gains import PidGains, series_kept
 from retuner.schedule.late_dataclass import dataclass, field, replace
 
-_MS = 1.1, 3.5  # every limit of Ms lies between these: they follow a person's own (supervision/retuner_settings.py)
+_MS = "1.1..3.5"  # every limit of Ms lies between these: they follow a person's own (supervision/retuner_settings.py)
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,35 +52,32 @@ class BookSettings:
     """When something follows from all samples. Costs are logarithms of the integrated error; what a set costs: cost."""
 
     hazard_s: float = setting(
-        30 * 86400.0, "Mean time after which a process is another one", 86400.0, 3.2e7, "s", "fouling, wear"
+        30 * 86400.0, "Mean time after which a process is another one", "86400..3.2e7 s", "fouling, wear"
     )
     changed_odds: float = setting(
-        0.5, "Odds that a process has changed where two responses differ from all before", 0.1, 0.9
+        0.5, "Odds that a process has changed where two responses differ from all before", "0.1..0.9"
     )
-    drawn: int = setting(300, "Processes that stand for the weights", 100, 1000)
-    tone: float = setting(0.2, "Odds of an external oscillation from which nothing follows by loads alone", 0.05, 0.9)
-    worth: float = setting(0.25, "How much cheaper a change must be expected to be", 0.1, 0.7)
-    ms_high: float = setting(2.0, "Ms above which a loop has too little robustness", *_MS)
-    ms_good: float = setting(1.7, "Ms up to which a loop may have more action", *_MS)
-    ms_bad: float = setting(1.8, "Ms that bad_share of the processes may exceed after more action", *_MS)
-    bad_share: float = setting(0.1, "Share of the odds that may come out badly", 0.05, 0.4)
-    unstable_share: float = setting(0.02, "Share of the odds that may be unstable", 0.0, 0.05)
-    less_odds: float = setting(0.85, "Odds of ms_high from which less action follows", 0.5, 0.9)
-    sure_odds: float = setting(0.95, "Odds from which it does at once, behind a whole window", 0.9, 0.99)
+    drawn: int = setting(300, "Processes that stand for the weights", "100..1000")
+    tone: float = setting(0.2, "Odds of an external oscillation from which nothing follows by loads alone", "0.05..0.9")
+    worth: float = setting(0.25, "How much cheaper a change must be expected to be", "0.1..0.7")
+    ms_high: float = setting(2.0, "Ms above which a loop has too little robustness", _MS)
+    ms_good: float = setting(1.7, "Ms up to which a loop may have more action", _MS)
+    ms_bad: float = setting(1.8, "Ms that bad_share of the processes may exceed after more action", _MS)
+    bad_share: float = setting(0.1, "Share of the odds that may come out badly", "0.05..0.4")
+    unstable_share: float = setting(0.02, "Share of the odds that may be unstable", "0..0.05")
+    less_odds: float = setting(0.85, "Odds of ms_high from which less action follows", "0.5..0.9")
+    sure_odds: float = setting(0.95, "Odds from which it does at once, behind a whole window", "0.9..0.99")
     more_odds: float = setting(
         0.85,
         "Odds of being cheaper, and of a good Ms, from which more action follows; by loads alone of room as well",
-        0.5,
-        0.9,
+        "0.5..0.9",
     )
-    restless: float = setting(0.3, "Share of samples outside the noise band from which a load wanders", 0.1, 0.9)
-    most: float = setting(
-        0.7, "How much a change may save or cost on a process", 0.2, 2.5, source="ln 2: it is on trial"
-    )
+    restless: float = setting(0.3, "Share of samples outside the noise band from which a load wanders", "0.1..0.9")
+    most: float = setting(0.7, "How much a change may save or cost on a process", "0.2..2.5", "ln 2: it is on trial")
     borne_out: float = setting(
-        2 / 3, "Odds of being better that less action needs", 0.5, 0.9, source="60 changes, seeds 9331 to 9361"
+        2 / 3, "Odds of being better that less action needs", "0.5..0.9", "60 changes, seeds 9331 to 9361"
     )
-    room: float = setting(1.8, "Times as much of all actions that a loop with room bears", 1.5, 3.0)
+    room: float = setting(1.8, "Times as much of all actions that a loop with room bears", "1.5..3")
     cost: WorthSettings = field(default_factory=lambda: WorthSettings(ms_calm=1.68))
 
     def __post_init__(self) -> None:

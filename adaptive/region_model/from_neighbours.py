@@ -28,10 +28,10 @@ MOST_LOG_STEP = math.log(2.0)
 class BorrowingSettings:
     """Settings of what a region borrows from its neighbours. Raises ValueError: one is outside its range."""
 
-    most_lead: float = setting(12.0, "Evidence by which a borrowed structure leads at the most", 0, unit="nats")
+    most_lead: float = setting(12.0, "Evidence by which a borrowed structure leads at the most", "0.. nats")
     # its own responses tell more than its neighbours
     far_off: float = setting(
-        0.6, "IAE after over before, as predicted, up to which gains change before any response; 0: never", 0, 1
+        0.6, "IAE after over before, as predicted, up to which gains change before any response; 0: never", "0..1"
     )
 
     def __post_init__(self) -> None:

@@ -79,17 +79,17 @@ class AdviceKind(StrEnum):
 class AdviceSettings:
     """Settings. Raises ValueError: one is outside its range."""
 
-    alpha: float = setting(0.001, "Probability at which one process is taken for two; it is only advice", 1e-6, 0.05)
-    scatter: float = setting(0.12, "Scatter of ln Kc and ln tau_I from record to record in a region", 0, positive=True)
+    alpha: float = setting(0.001, "Probability at which one process is taken for two; it is only advice", "1e-6..0.05")
+    scatter: float = setting(0.12, "Scatter of ln Kc and ln tau_I from record to record in a region", ">0..")
     against_time: float = setting(
-        6.0, "Lead of a boundary over a change in time, in 2 ln of the likelihood; 6: odds of 20", 0
+        6.0, "Lead of a boundary over a change in time, in 2 ln of the likelihood; 6: odds of 20", "0.."
     )
-    least_records: int = setting(3, "Records on each side of a boundary, and in each of two equal regions", 2)
-    split_factor: float = setting(1.5, "Least factor between the settings of the two sides", 1, 1e6, positive=True)
+    least_records: int = setting(3, "Records on each side of a boundary, and in each of two equal regions", "2..")
+    split_factor: float = setting(1.5, "Least factor between the settings of the two sides", ">1..1e6")
     merge_factor: float = setting(
-        1.25, "Largest factor between the settings of equal regions, its uncertainty included", 1, 1e6, positive=True
+        1.25, "Largest factor between the settings of equal regions, its uncertainty included", ">1..1e6"
     )
-    bound_std: float = setting(1.96, "Standard deviations that this uncertainty counts; 1.96: 95 %", 0, positive=True)
+    bound_std: float = setting(1.96, "Standard deviations that this uncertainty counts; 1.96: 95 %", ">0..")
 
     def __post_init__(self) -> None:
         require_in_range(self, "advice")

@@ -149,41 +149,38 @@ ANEW = frozenset({Agreement.FIRST, Agreement.OPENED, Agreement.CHANGED})
 class TrackerSettings:
     """Settings of what is known of a region. Raises ValueError: one is outside its range."""
 
-    walk_per_day: float = setting(0.1, "How far the logarithms wander in a day, one standard deviation", 0, 1)
+    walk_per_day: float = setting(0.1, "How far the logarithms wander in a day, one standard deviation", "0..1")
     walk_per_record: float = setting(
         0.03,
         "How far they wander from record to record, whatever the time: a gain that doubles within thirty is followed",
-        0,
-        0.1,
+        "0..0.1",
     )
     drift_per_record: float = setting(
         0.02,
         "How far they may move in one direction from record to record, one standard deviation; learned (kalman.py)",
-        0,
-        0.1,
+        "0..0.1",
     )
-    drift_lasts: float = setting(20.0, "Records for which a drift goes on, in the mean", 2, 1000, "records")
+    drift_lasts: float = setting(20.0, "Records for which a drift goes on, in the mean", "2..1000 records")
     # operating point and structure are never quite the same; with 0.12 a gain that doubles at once passes the gate
     scatter: float = setting(
-        0.06, "How much they differ between records within a region, one standard deviation", 0, 0.2
+        0.06, "How much they differ between records within a region, one standard deviation", "0..0.2"
     )
     # what no structure explains of a real record passes 3.09 now and then; a gain that has doubled lies far beyond 4.5
-    gate: float = setting(4.5, "Innovation above which a record contradicts, as a one-sided normal deviate", 2, 6)
+    gate: float = setting(4.5, "Innovation above which a record contradicts, as a one-sided normal deviate", "2..6")
     decisive: float = setting(
         6.0,
         "Deviance by which a record that fits both must speak for the alternative, or against it (odds of 20)",
-        2,
-        20,
+        "2..20",
     )
     # and it is the alternative from then on
     clearer: float = setting(
-        1.5, "A record gives way to one that contradicts it and knows the gain so many times better", 1, 100
+        1.5, "A record gives way to one that contradicts it and knows the gain so many times better", "1..100"
     )
     most_lead: float = setting(
-        60.0, "Evidence by which a structure may lead at the most, so that another may take over", 0, unit="nats"
+        60.0, "Evidence by which a structure may lead at the most, so that another may take over", "0.. nats"
     )
     danger_ms: float = setting(
-        2.3, "Ms of the active gains from which a record that contradicts is believed at once", 1, 10
+        2.3, "Ms of the active gains from which a record that contradicts is believed at once", "1..10"
     )
 
     def __post_init__(self) -> None:

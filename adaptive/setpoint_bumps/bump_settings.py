@@ -17,38 +17,28 @@ class BumpSettings:
     percent: float = setting(
         1.0,
         "Size of a bump: percent of the range of pv, to one side of the setpoint as it is",
-        0.1,
-        5,
-        "%",
-        source="small beside what operators do",
+        "0.1..5 %",
+        "small beside what operators do",
     )
     after_h: float = setting(
-        48.0, "Hours without evidence before a bump", 0, 10000, "h", source="two days: every shift has had its say"
+        48.0, "Hours without evidence before a bump", "0..10000 h", "two days: every shift has had its say"
     )
-    from_h: float = setting(0.0, "Hour of the day from which a bump may begin", 0, HOURS, "h", source="user")
-    to_h: float = setting(
-        HOURS, "Hour of the day until which; before from_h: over midnight", 0, HOURS, "h", source="user"
-    )
+    from_h: float = setting(0.0, "Hour of the day from which a bump may begin", f"0..{HOURS} h", "user")
+    to_h: float = setting(HOURS, "Hour of the day until which; before from_h: over midnight", f"0..{HOURS} h", "user")
     most_per_day: int = setting(
-        1, "Bumps in 24 hours at the most", 1, 100, "bumps", source="hardly noticed among the day's moves"
+        1, "Bumps in 24 hours at the most", "1..100 bumps", "hardly noticed among the day's moves"
     )
-    most: int = setting(
-        10, "Bumps of a session at the most", 1, 10000, "bumps", source="what they do not show, more will not"
-    )
+    most: int = setting(10, "Bumps of a session at the most", "1..10000 bumps", "what they do not show, more will not")
     announce_s: float = setting(
         600.0,
         "A bump is announced so long beforehand; whoever moves the setpoint meanwhile puts it off",
-        0,
-        86400,
-        "s",
-        source="time to look and to say no",
+        "0..86400 s",
+        "time to look and to say no",
     )
-    longest_s: float = setting(
-        14400.0, "A bump is removed after so long at the latest", 0.01, 1e6, "s", source="half a shift"
-    )
-    least_bands: float = setting(4.0, "Noise bands that a bump must have, or nothing would be learned by it", 2, 100)
+    longest_s: float = setting(14400.0, "A bump is removed after so long at the latest", "0.01..1e6 s", "half a shift")
+    least_bands: float = setting(4.0, "Noise bands that a bump must have, or nothing would be learned by it", "2..100")
     excursion: float = setting(
-        4.0, "A control error of so many times what a bump and the usual loads make together ends the bump", 1.5, 20
+        4.0, "A control error of so many times what a bump and the usual loads make together ends the bump", "1.5..20"
     )
 
     def __post_init__(self) -> None:

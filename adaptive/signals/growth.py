@@ -25,46 +25,39 @@ from retuner.schedule.late_dataclass import dataclass
 class GrowthSettings:
     """When a swing grows."""
 
-    half_waves: int = setting(
-        6, "Half waves in a row that a growing swing shows at least", 4, 20, source="three cycles"
-    )
+    half_waves: int = setting(6, "Half waves in a row that a growing swing shows at least", "4..20", "three cycles")
     most_half_waves: int = setting(
-        24, "Half waves that are looked at, the newest", 6, 60, source="twelve cycles, as for a cause"
+        24, "Half waves that are looked at, the newest", "6..60", "twelve cycles, as for a cause"
     )
-    growth: float = setting(
-        1.6, "Growth over them at the least", 1.2, 5, source="a sensor's noise is a quarter of its band"
-    )
+    growth: float = setting(1.6, "Growth over them at the least", "1.2..5", "a sensor's noise is a quarter of its band")
     steady: float = setting(
         0.5,
         "Growth, in logarithms, of the later half over that of the earlier",
-        0.2,
-        1,
-        source="1 for an exponential; 0.2 for a tone that sets in",
+        "0.2..1",
+        "1 for an exponential; 0.2 for a tone that sets in",
     )
     chance: float = setting(
         1e-4,
         "Probability that heights without a trend rise so (Student 1908)",
-        1e-6,
-        0.05,
-        source="a loop under a tone is looked at some hundred times",
+        "1e-6..0.05",
+        "a loop under a tone is looked at some hundred times",
     )
     fewest_before: int = setting(
-        3, "Fewest half waves before a growing swing that tell how high it was", 1, 10, source="a load is one"
+        3, "Fewest half waves before a growing swing that tell how high it was", "1..10", "a load is one"
     )
     lasting_half_waves: int = setting(
-        5, "Half waves in a row, of which a swing goes on, at least", 4, 24, source="two and a half cycles"
+        5, "Half waves in a row, of which a swing goes on, at least", "4..24", "two and a half cycles"
     )
     like: float = setting(
-        2.0, "Highest of its half waves over the lowest", 1.2, 4, source="noise of a quarter of the least height"
+        2.0, "Highest of its half waves over the lowest", "1.2..4", "noise of a quarter of the least height"
     )
     restless: float = setting(
         0.6,
         "Share of its time outside the noise band, at least",
-        0.3,
-        0.9,
-        source="a sinusoid of twice the band: 0.67; load steps apart rest in between",
+        "0.3..0.9",
+        "a sinusoid of twice the band: 0.67; load steps apart rest in between",
     )
-    even: float = setting(1.7, "Longest of the half periods over the shortest", 1.1, 3, source="a linear swing is even")
+    even: float = setting(1.7, "Longest of the half periods over the shortest", "1.1..3", "a linear swing is even")
 
     def __post_init__(self) -> None:
         require_in_range(self, "growth")

@@ -77,57 +77,50 @@ class AdmissionSettings:
     limited_share: float = setting(
         1.0,
         "Largest share of a response with the output at a limit",
-        0,
-        1,
-        source="a fit takes co as it was applied, at a limit or not; only what never moves shows nothing",
+        "0..1",
+        "a fit takes co as it was applied, at a limit or not; only what never moves shows nothing",
     )
     lost_share: float = setting(
-        0.35, "Largest share of lost samples", 0, 0.5, source="a fit takes each sample at its own time"
+        0.35, "Largest share of lost samples", "0..0.5", "a fit takes each sample at its own time"
     )
     uneven: float = setting(
         0.65,
         "Share of the median by which an interval is off that no late stamp makes: samples came in bursts",
-        0.1,
-        1,
-        source="stamps off by 30 % make intervals off by 60 %",
+        "0.1..1",
+        "stamps off by 30 % make intervals off by 60 %",
     )
-    uneven_share: float = setting(0.1, "Largest share of samples at uneven times", 0, 1, source="one in ten")
+    uneven_share: float = setting(0.1, "Largest share of samples at uneven times", "0..1", "one in ten")
     repeated_share: float = setting(
         0.2,
         "Largest share of samples that repeat the one before although the error is outside the noise band",
-        0,
-        1,
-        source="integral action moves co at every such sample",
+        "0..1",
+        "integral action moves co at every such sample",
     )
     outside_share: float = setting(
-        0.05, "Largest share of samples outside the region", 0, 0.5, source="noise of a measured variable"
+        0.05, "Largest share of samples outside the region", "0..0.5", "noise of a measured variable"
     )
     moves_most: int = setting(
         4,
         "Movements of the setpoint in one response that are still an operator's",
-        1,
-        20,
-        "moves",
-        source="a cascade's master moves it all the time",
+        "1..20 moves",
+        "a cascade's master moves it all the time",
     )
     moving_share: float = setting(
         0.3,
         "Largest share of samples at which the setpoint moves",
-        0,
-        1,
-        source="a ramp is one movement, and shorter than the response",
+        "0..1",
+        "a ramp is one movement, and shorter than the response",
     )
     led_again_s: float = setting(
-        21600.0, "Time until it is said again that the setpoint is led; such responses are counted", 0, unit="s"
+        21600.0, "Time until it is said again that the setpoint is led; such responses are counted", "0.. s"
     )
     still_share: float = setting(0.01, "A setpoint that moves by less of the noise band stands still")
     changes_most: int = setting(0, "Most changes of the active gains during a response")
     excitation_bands: float = setting(
         2.2,
         "Least height of a response in noise bands",
-        2,
-        10,
-        source="the recogniser starts at 2; weaker ones are weighed by the fit",
+        "2..10",
+        "the recogniser starts at 2; weaker ones are weighed by the fit",
     )
 
     def __post_init__(self) -> None:

@@ -227,34 +227,24 @@ class PatternSettings:
     overshoot_target: float = setting(
         0.15,
         "Overshoot that is aimed at",
-        0.05,
-        0.5,
-        source="below the 0.3 of Astrom & Hagglund 1995, section 6.5: Ms stays below 2",
+        "0.05..0.5",
+        "below the 0.3 of Astrom & Hagglund 1995, section 6.5: Ms stays below 2",
     )
     damping_target: float = setting(
         0.15,
         "Target for the half-cycle decay ratio (0 dead-beat, 1 sustained)",
-        0.05,
-        0.5,
-        source="as the overshoot: for a clean decay both are equal",
+        "0.05..0.5",
+        "as the overshoot: for a clean decay both are equal",
     )
     dead_zone: float = setting(
-        0.05,
-        "Distance from the targets within which nothing moves",
-        0.02,
-        0.2,
-        source="what noise makes of an overshoot",
+        0.05, "Distance from the targets within which nothing moves", "0.02..0.2", "what noise makes of an overshoot"
     )
     gain: float = 1.5
     step_up: float = setting(
-        1.3,
-        "Greatest factor per response towards more action",
-        1.05,
-        2,
-        source="a gain margin of 1.9 outlives two of them",
+        1.3, "Greatest factor per response towards more action", "1.05..2", "a gain margin of 1.9 outlives two of them"
     )
     step_down: float = setting(
-        1.5, "Greatest factor per response towards less action", 1.05, 2, source="safety is reached faster than speed"
+        1.5, "Greatest factor per response towards less action", "1.05..2", "safety is reached faster than speed"
     )
     urgent_step: float = 2.0
     careful: float = 1.2

@@ -32,21 +32,17 @@ class BoilerSettings:
     Raises ValueError: a number is not finite or outside its physical range (named).
     """
 
-    inlet_c: float = setting(10.0, "Temperature of the water that comes in", -50, 500, "degC", "plant")
-    power_max_c: float = setting(
-        160.0, "How much full power heats the nominal flow", 0, 1e4, "K", "plant", positive=True
-    )
-    rangeability: float = setting(20.0, "Rangeability of the fuel valve (equal percentage)", 1.001, 1000, "1", "plant")
-    tank_s: float = setting(40.0, "Lag of the tank at nominal flow", 0, 1e5, "s", "plant", positive=True)
-    pipe_s: float = setting(8.0, "Delay of the pipe at nominal flow", 0, 1e5, "s", "plant", positive=True)
-    tau_sensor_s: float = setting(4.0, "Sensor lag", 0, 1e5, "s", "plant", positive=True)
-    noise_c: float = setting(0.1, "Standard deviation of the measurement noise", 0, 100, "degC", "plant")
+    inlet_c: float = setting(10.0, "Temperature of the water that comes in", "-50..500 degC", "plant")
+    power_max_c: float = setting(160.0, "How much full power heats the nominal flow", ">0..1e4 K", "plant")
+    rangeability: float = setting(20.0, "Rangeability of the fuel valve (equal percentage)", "1.001..1000 1", "plant")
+    tank_s: float = setting(40.0, "Lag of the tank at nominal flow", ">0..1e5 s", "plant")
+    pipe_s: float = setting(8.0, "Delay of the pipe at nominal flow", ">0..1e5 s", "plant")
+    tau_sensor_s: float = setting(4.0, "Sensor lag", ">0..1e5 s", "plant")
+    noise_c: float = setting(0.1, "Standard deviation of the measurement noise", "0..100 degC", "plant")
     flow_noise_pct: float = setting(
         0.5,
         "Standard deviation of the measured flow's noise, which the device publishes as PLANT.aux",
-        0,
-        100,
-        "%",
+        "0..100 %",
         "plant",
     )
 

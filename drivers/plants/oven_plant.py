@@ -37,17 +37,17 @@ class OvenSettings:
     Raises ValueError: a number is not finite or outside its physical range (named).
     """
 
-    power_w: float = setting(600.0, "Heater power at 100 %", 0, 1e6, "W", "plant", positive=True)
-    phase_share: float = setting(0.2, "Share of the power under phase-angle control", 0, 0.9, "1", "plant")
-    jacket_c: float = setting(5.0, "Temperature of the cooled jacket", -273.15, 500, "degC", "plant")
-    convection_w_k: float = setting(1.2, "Heat lost by convection", 0, 1e4, "W/K", "plant", positive=True)
-    radiating_area_m2: float = setting(0.08, "Emissivity times radiating area", 0, 100, "m2", "plant")
-    heat_capacity_j_k: float = setting(380.0, "Heat capacity at 20 degC", 0, 1e8, "J/K", "plant", positive=True)
-    capacity_growth_1_k: float = setting(0.005, "Growth of the heat capacity", 0, 1, "1/K", "plant")
-    theta_cold_s: float = setting(45.0, "Transport delay at 20 degC", 0, 1e5, "s", "plant", positive=True)
-    theta_hot_s: float = setting(12.0, "Transport delay at 220 degC", 0, 1e5, "s", "plant", positive=True)
-    tau_sensor_s: float = setting(12.0, "Sensor lag", 0, 1e5, "s", "plant", positive=True)
-    noise_c: float = setting(0.06, "Standard deviation of the measurement noise", 0, 100, "degC", "plant")
+    power_w: float = setting(600.0, "Heater power at 100 %", ">0..1e6 W", "plant")
+    phase_share: float = setting(0.2, "Share of the power under phase-angle control", "0..0.9 1", "plant")
+    jacket_c: float = setting(5.0, "Temperature of the cooled jacket", "-273.15..500 degC", "plant")
+    convection_w_k: float = setting(1.2, "Heat lost by convection", ">0..1e4 W/K", "plant")
+    radiating_area_m2: float = setting(0.08, "Emissivity times radiating area", "0..100 m2", "plant")
+    heat_capacity_j_k: float = setting(380.0, "Heat capacity at 20 degC", ">0..1e8 J/K", "plant")
+    capacity_growth_1_k: float = setting(0.005, "Growth of the heat capacity", "0..1 1/K", "plant")
+    theta_cold_s: float = setting(45.0, "Transport delay at 20 degC", ">0..1e5 s", "plant")
+    theta_hot_s: float = setting(12.0, "Transport delay at 220 degC", ">0..1e5 s", "plant")
+    tau_sensor_s: float = setting(12.0, "Sensor lag", ">0..1e5 s", "plant")
+    noise_c: float = setting(0.06, "Standard deviation of the measurement noise", "0..100 degC", "plant")
 
     def __post_init__(self) -> None:
         require_in_range(self, "oven")

@@ -113,28 +113,19 @@ class AdaptationConfig(Section):
         names=("bumps", "nudge"),
     )
     approval_s: float = setting(
-        "How long a proposal may be approved after it was made",
-        unit="s",
-        above=0,
-        high=1e8,
-        default=86400.0,
-        source="a day: every shift sees it",
+        "How long a proposal may be approved after it was made", ">0..1e8 s", 86400.0, "a day: every shift sees it"
     )
     decision_deadline_s: float = setting(
         "On a real bus: machine's time that a decision may take; past it nothing is changed, and the screen says so",
-        unit="s",
-        low=1,
-        high=1e5,
-        default=300.0,
-        source="a hundred times a decision's usual time",
+        "1..1e5 s",
+        300.0,
+        "a hundred times a decision's usual time",
     )
     decision_delay_samples: int = setting(
         "In simulated time: samples after which a decision is entered; 0 at the sample that raised it",
-        unit="samples",
-        low=0,
-        high=100000,
-        default=0,
-        source="time stands still there while a decision is made",
+        "0..100000 samples",
+        0,
+        "time stands still there while a decision is made",
     )
     trial_responses: int
     trial_level: float
@@ -149,23 +140,11 @@ class AdaptationConfig(Section):
         source="no test signal unless someone allows it",
     )
     pretune_step_pct: float | None = setting(
-        "That step, negative for down; absent: 5 % of the range of co",
-        unit="%",
-        low=-50,
-        high=50,
-        default=None,
-        source="user",
+        "That step, negative for down; absent: 5 % of the range of co", "-50..50 %", None, "user"
     )
-    noise_band: float | None = setting(
-        "Noise band of pv; absent: estimated from the data", unit="pv", above=0, high=1e9, default=None, source="user"
-    )
+    noise_band: float | None = setting("Noise band of pv; absent: estimated from the data", ">0..1e9 pv", None, "user")
     wait_s: float | None = setting(
-        "Longest wait for the next peak; absent: from the active integral time",
-        unit="s",
-        above=0,
-        high=1e7,
-        default=None,
-        source="user",
+        "Longest wait for the next peak; absent: from the active integral time", ">0..1e7 s", None, "user"
     )
 
     @property

@@ -14,39 +14,34 @@ class BusConfig(Section):
 
     interface: str = setting(
         "python-can interface: virtual, socketcan, udp_multicast, ...",
-        text=(1, 64),
-        default="virtual",
-        source="needs no hardware",
+        "1..64 characters",
+        "virtual",
+        "needs no hardware",
     )
-    channel: str = setting("Channel of the interface", text=(1, 256), default="retuner")
-    node: int = setting("Node number of the controller", low=1, high=NODES, default=1, source="retuner.dbc")
+    channel: str = setting("Channel of the interface", "1..256 characters", "retuner")
+    node: int = setting("Node number of the controller", f"1..{NODES}", 1, "retuner.dbc")
     hop_limit: int = setting(
         "Networks that udp_multicast frames may cross; 0 keeps them on this host",
-        low=0,
-        high=255,
-        default=0,
-        source="no frame leaves the host unasked",
+        "0..255",
+        0,
+        "no frame leaves the host unasked",
     )
     lease_s: float = setting(
         "How long the controller stays reserved for a host that has died; at least 30 samples",
-        unit="s",
-        above=0,
-        high=3600,
-        default=3.0,
-        source="a restart of the host",
+        ">0..3600 s",
+        3.0,
+        "a restart of the host",
     )
     probation_samples: int = setting(
         "Samples that must show a new set running before it is confirmed",
-        unit="samples",
-        low=0,
-        high=10000,
-        default=5,
-        source="the link must be seen to work",
+        "0..10000 samples",
+        5,
+        "the link must be seen to work",
     )
     key_file: str = setting(
         "File with the key that authenticates commits, hexadecimal, readable by you alone; empty for none",
-        text=(0, 1024),
-        default="",
+        "0..1024 characters",
+        "",
     )
 
 
@@ -61,22 +56,20 @@ class DeviceConfig(Section):
     confirm_within_s: float | None = setting(
         "Time within which a new set must be confirmed, or the confirmed one runs again; 0 for any time; absent: "
         f"{CONFIRM_SAMPLES} samples",
-        unit="s",
-        low=0,
-        high=1e6,
-        default=None,
-        source="twice what a lost link and the probation take",
+        "0..1e6 s",
+        None,
+        "twice what a lost link and the probation take",
     )
-    seed: int = setting("Seed of the measurement noise", low=0, high=2**32 - 1, default=1)
+    seed: int = setting("Seed of the measurement noise", f"0..{2**32 - 1}", 1)
     plant: PlantConfig = setting("The simulated plant behind the virtual device")
 
 
 class StepConfig(Section):
     """One entry of [scenario] steps: from at_s on, this setpoint, this load, or both."""
 
-    at_s: float = setting("When", unit="s", low=0, high=1e9)
-    sp: float | None = setting("New setpoint", unit="pv", low=-1e9, high=1e9, default=None)
-    load: float | None = setting("New load on the plant", unit="%", low=-200, high=200, default=None)
+    at_s: float = setting("When", "0..1e9 s")
+    sp: float | None = setting("New setpoint", "-1e9..1e9 pv", None)
+    load: float | None = setting("New load on the plant", "-200..200 %", None)
 
     def problems(self) -> Iterator[Problem]:
         """A step that steps."""
@@ -87,7 +80,7 @@ class StepConfig(Section):
 class ScenarioConfig(Section):
     """[scenario]: what happens in a run on the virtual device."""
 
-    duration_s: float = setting("Length of the run", unit="s", above=0, high=1e9)
+    duration_s: float = setting("Length of the run", ">0..1e9 s")
     steps: Many[StepConfig] = setting("Setpoint and load steps, in the order of time")
 
     def problems(self) -> Iterator[Problem]:
@@ -114,26 +107,22 @@ class OutputConfig(Section):
 
     directory: str = setting(
         "Folder for report, ledger, trend and bus log, relative to where the command runs",
-        text=(1, 1024),
-        default="runs/latest",
-        source="git-ignored",
+        "1..1024 characters",
+        "runs/latest",
+        "git-ignored",
     )
     trend: Literal["csv", "parquet"] = setting(
         "Format of the trend; parquet needs the extra of that name", default="csv", source="base install"
     )
     bus_log_mb: float = setting(
         "Size that the bus log may reach; then its oldest half goes, and the run cannot be replayed from its beginning",
-        unit="MB",
-        low=1,
-        high=1e6,
-        default=256.0,
-        source="a day at 100 samples a second: 27 bytes a sample, 233 MB",
+        "1..1e6 MB",
+        256.0,
+        "a day at 100 samples a second: 27 bytes a sample, 233 MB",
     )
     ledger_mb_warn: float = setting(
         "Size of the ledger past which a run says so once; the ledger is never cut",
-        unit="MB",
-        low=1,
-        high=1e6,
-        default=256.0,
-        source="32,000 decisions of 8 kB: three weeks with one a minute",
+        "1..1e6 MB",
+        256.0,
+        "32,000 decisions of 8 kB: three weeks with one a minute",
     )

@@ -20,17 +20,17 @@ BY_HAND = "Its gains; absent: they are set by hand at the device and in the regi
 
 
 def _scale(what: str) -> Any:  # noqa: ANN401  as setting
-    return setting(what, low=-BIGGEST, high=BIGGEST, default=1.0, source="the device's manual")
+    return setting(what, f"{-BIGGEST}..{BIGGEST}", 1.0, "the device's manual")
 
 
 def _offset() -> Any:  # noqa: ANN401  as setting
-    return setting("Ours at the device's 0", low=-BIGGEST, high=BIGGEST, default=0.0, source="none")
+    return setting("Ours at the device's 0", f"{-BIGGEST}..{BIGGEST}", 0.0, "none")
 
 
 class AskConfig(Section):
     """A data frame that asks for a message."""
 
-    message: str = setting("Message, by name or identifier (0x...)", text=(1, 128), source="the DBC")
+    message: str = setting("Message, by name or identifier (0x...)", "1..128 characters", source="the DBC")
     values: dict[str, float] = setting(
         "Values of its signals; others are as in the DBC", default={}, source="the device's manual"
     )
@@ -47,8 +47,8 @@ def _asked() -> Any:  # noqa: ANN401  as setting
 class SignalConfig(Section):
     """A number of the loop in a DBC: ours = scale x the signal's + offset."""
 
-    message: str = setting("Message, by name or identifier (0x...)", text=(1, 128), source="the DBC")
-    signal: str = setting("Signal of the message", text=(1, 128), source="the DBC")
+    message: str = setting("Message, by name or identifier (0x...)", "1..128 characters", source="the DBC")
+    signal: str = setting("Signal of the message", "1..128 characters", source="the DBC")
     scale: float = _scale("Ours for one of the signal's; the output is in % of its range")
     offset: float = _offset()
     on_request: bool = setting(
@@ -66,7 +66,7 @@ class SignalConfig(Section):
 class ObjectConfig(Section):
     """A number of the loop in an object dictionary: ours = scale x the object's + offset."""
 
-    object: str = setting('Object: "6130", "6130:1" or its name', text=(1, 128), source="the EDS")
+    object: str = setting('Object: "6130", "6130:1" or its name', "1..128 characters", source="the EDS")
     scale: float = _scale("Ours for one of the object's; the output is in % of its range")
     offset: float = _offset()
 
@@ -79,15 +79,15 @@ class _StateSection(Section):
     """What a state is told by."""
 
     expected: Many[Whole] = setting("Values that are as they should be", source="the device's manual")
-    mask: int = setting("Bits that count", low=1, high=2**32 - 1, default=2**32 - 1, source="all")
-    reason: str = setting("What is told otherwise", text=(0, 128), default="", source="the number itself")
+    mask: int = setting("Bits that count", f"1..{2**32 - 1}", 2**32 - 1, "all")
+    reason: str = setting("What is told otherwise", "0..128 characters", "", "the number itself")
 
 
 class SignalStateConfig(_StateSection):
     """A state in a DBC."""
 
-    message: str = setting("Message, by name or identifier (0x...)", text=(1, 128), source="the DBC")
-    signal: str = setting("Signal of the message", text=(1, 128), source="the DBC")
+    message: str = setting("Message, by name or identifier (0x...)", "1..128 characters", source="the DBC")
+    signal: str = setting("Signal of the message", "1..128 characters", source="the DBC")
 
     def states(self) -> States:
         """The states as the drivers take them."""
@@ -97,7 +97,7 @@ class SignalStateConfig(_StateSection):
 class ObjectStateConfig(_StateSection):
     """A state in an object dictionary."""
 
-    object: str = setting('Object: "6041", "6041:0" or its name', text=(1, 128), source="the EDS")
+    object: str = setting('Object: "6041", "6041:0" or its name', "1..128 characters", source="the EDS")
 
     def states(self) -> States:
         """The states as the drivers take them."""
@@ -109,9 +109,7 @@ class _GainSection(Section):
 
     scale: float = _scale("Ours for one of the controller's; negative where it counts reverse action as positive")
     unit: Literal["", "s", "ms", "min"] = setting("Unit of a time", default="", source="s")
-    off: float | None = setting(
-        "Number that stands for no such action", low=-BIGGEST, high=BIGGEST, default=None, source="none does"
-    )
+    off: float | None = setting("Number that stands for no such action", f"{-BIGGEST}..{BIGGEST}", None, "none does")
 
     def factor(self, quantity: Quantity, general: float) -> float:
         """Ours for one of the controller's."""
@@ -122,14 +120,10 @@ class _GainSection(Section):
 class SignalGainConfig(_GainSection):
     """A gain in a DBC."""
 
-    message: str = setting("Message that writes it", text=(1, 128), source="the DBC")
-    signal: str = setting("Signal of the message", text=(1, 128), source="the DBC")
-    read_message: str = setting(
-        "Message that tells it; empty: it cannot be read", text=(0, 128), default="", source="the DBC"
-    )
-    read_signal: str = setting(
-        "Signal of that message; empty: the same name", text=(0, 128), default="", source="the DBC"
-    )
+    message: str = setting("Message that writes it", "1..128 characters", source="the DBC")
+    signal: str = setting("Signal of the message", "1..128 characters", source="the DBC")
+    read_message: str = setting("Message that tells it; empty: it cannot be read", "0..128 characters", "", "the DBC")
+    read_signal: str = setting("Signal of that message; empty: the same name", "0..128 characters", "", "the DBC")
     read_on_request: bool = setting(
         "Whether that message comes only when asked for, by a remote frame", default=True, source="most do"
     )
@@ -149,7 +143,7 @@ class SignalGainConfig(_GainSection):
 class ObjectGainConfig(_GainSection):
     """A gain in an object dictionary; it is read back where it was written."""
 
-    object: str = setting('Object: "6450", "6450:1" or its name', text=(1, 128), source="the EDS")
+    object: str = setting('Object: "6450", "6450:1" or its name', "1..128 characters", source="the EDS")
 
     def gain(self, quantity: Quantity, general: float) -> GainAt:
         """The gain as the drivers take it."""
@@ -216,19 +210,17 @@ class ObjectGainsConfig(_GainsSection[ObjectGainConfig]):
 class ProtectConfig(Section):
     """[[device.protect]]: counter and checksum of one message."""
 
-    message: str = setting("Message", text=(1, 128), source="the DBC")
-    counter: str = setting("Signal that counts; empty: none", text=(0, 128), default="", source="the DBC")
-    checksum: str = setting("Signal of the checksum; empty: none", text=(0, 128), default="", source="DBC")
+    message: str = setting("Message", "1..128 characters", source="the DBC")
+    counter: str = setting("Signal that counts; empty: none", "0..128 characters", "", "the DBC")
+    checksum: str = setting("Signal of the checksum; empty: none", "0..128 characters", "", "DBC")
     algorithm: str = setting(
         "Algorithm of the checksum: crc8_sae_j1850, crc8_autosar, crc8, crc16_ccitt, crc16_xmodem, sum8, "
         "sum8_inverted, sum8_negated, xor8",
-        text=(0, 32),
-        default="",
-        source="the device's manual",
+        "0..32 characters",
+        "",
+        "the device's manual",
     )
-    data_id: int | None = setting(
-        "Data identifier that the checksum covers as well", low=0, high=65535, default=None, source="none"
-    )
+    data_id: int | None = setting("Data identifier that the checksum covers as well", "0..65535", None, "none")
 
     def protection(self) -> Protection:
         """The protection as the drivers take it."""
@@ -240,13 +232,11 @@ class ForeignConfig(Section):
 
     profile: str = setting(
         "Ready mapping that what is given here completes: odrive, cia402, cia404; empty: all is given here",
-        text=(0, 32),
-        default="",
-        source="none",
+        "0..32 characters",
+        "",
+        "none",
     )
-    node: int | None = setting(
-        "Number of the device; absent: that of [bus]", low=0, high=127, default=None, source="[bus] node"
-    )
+    node: int | None = setting("Number of the device; absent: that of [bus]", "0..127", None, "[bus] node")
     accept: Many[Literal["no_read_back", "unproved_order"]] = setting(
         "What the user accepts: a device without read-back of gains (else nothing is written); an order of messages "
         "that no model proves (else such gains are refused)",
@@ -254,33 +244,19 @@ class ForeignConfig(Section):
         source="neither",
     )
     feed_s: float = setting(
-        "The setpoint is sent again after so long, for the device's watchdog; 0: never",
-        unit="s",
-        low=0,
-        high=3600,
-        default=0.0,
-        source="no watchdog",
+        "The setpoint is sent again after so long, for the device's watchdog; 0: never", "0..3600 s", 0.0, "no watchdog"
     )
     look_s: float = setting(
-        "Gains are read again after so long, to see what others change",
-        unit="s",
-        above=0,
-        high=1e6,
-        default=60.0,
-        source="a minute",
+        "Gains are read again after so long, to see what others change", ">0..1e6 s", 60.0, "a minute"
     )
     silent_s: float | None = setting(
         "Age of the last frame at which the device counts as silent; absent: 6 samples, at least 0.5 s",
-        unit="s",
-        above=0,
-        high=1e6,
-        default=None,
-        source="6 samples",
+        ">0..1e6 s",
+        None,
+        "6 samples",
     )
-    sp_start: float = setting(
-        "Setpoint until one is sent, where the device reports none", unit="pv", low=-1e9, high=1e9, default=0.0
-    )
-    seed: int = setting("Seed of the simulated noise", low=0, high=2**32 - 1, default=1)
+    sp_start: float = setting("Setpoint until one is sent, where the device reports none", "-1e9..1e9 pv", 0.0)
+    seed: int = setting("Seed of the simulated noise", f"0..{2**32 - 1}", 1)
     plant: PlantConfig | None = setting(
         "Simulated plant, for a virtual device of this kind; absent: a real one is connected", default=None
     )
@@ -305,14 +281,13 @@ class DbcDeviceConfig(ForeignConfig):
     """[device] with kind = "dbc": a controller whose messages a DBC describes; see docs/devices.md."""
 
     kind: Literal["dbc"] = setting("Which device")
-    dbc: str = setting("DBC file of the device; a profile has one", text=(1, 1024), source="its maker")
-    described_node: int = setting("Node that the DBC describes", low=0, high=127, default=0, source="DBC")
+    dbc: str = setting("DBC file of the device; a profile has one", "1..1024 characters", source="its maker")
+    described_node: int = setting("Node that the DBC describes", "0..127", 0, "DBC")
     node_shift: int | None = setting(
         "Bits by which the node's number is moved in the identifiers; absent: they are as in the DBC",
-        low=0,
-        high=22,
-        default=None,
-        source="the device's manual",
+        "0..22",
+        None,
+        "the device's manual",
     )
     pv: SignalConfig = setting("Process value", source="the DBC")
     co: SignalConfig = setting("Output, in % of its range", source="the DBC")
@@ -339,7 +314,7 @@ class CanOpenDeviceConfig(ForeignConfig):
     """[device] with kind = "canopen": a node whose objects an EDS describes; see docs/devices.md."""
 
     kind: Literal["canopen"] = setting("Which device")
-    eds: str = setting("EDS (or DCF) of the device; a profile has one", text=(1, 1024), source="its maker")
+    eds: str = setting("EDS (or DCF) of the device; a profile has one", "1..1024 characters", source="its maker")
     pv: ObjectConfig = setting("Process value", source="the EDS")
     co: ObjectConfig = setting("Output, in % of its range", source="the EDS")
     sp: ObjectConfig | None = setting("Setpoint as the device reports it", default=None, source="none")
@@ -351,14 +326,9 @@ class CanOpenDeviceConfig(ForeignConfig):
         "Whether the node is started (NMT) when it is found pre-operational", default=True, source="CiA 301"
     )
     heartbeat_s: float = setting(
-        "Period of this host's own heartbeat, as node own_node; 0: none",
-        unit="s",
-        low=0,
-        high=60,
-        default=0.0,
-        source="the device's object 1016",
+        "Period of this host's own heartbeat, as node own_node; 0: none", "0..60 s", 0.0, "the device's object 1016"
     )
-    own_node: int = setting("Number of this host", low=1, high=127, default=127, source="a common choice")
+    own_node: int = setting("Number of this host", "1..127", 127, "a common choice")
 
     def mapping(self, pv_span: float, co_span: float, by_hand: PidGains) -> DeviceMapping:
         """The mapping as the drivers take it."""

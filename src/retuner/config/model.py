@@ -24,50 +24,35 @@ from retuner.schedule.table import GainTable, Lookup
 class LoopConfig(Section):
     """[loop]: what is controlled and with what limits."""
 
-    name: str = setting("Name of the loop in reports and the ledger", text=(1, 64), source="the plant's tag")
-    pv_unit: str = setting("Engineering unit of pv and sp", text=(1, 16), source="the transmitter")
-    pv_min: float = setting("Lower end of the pv range", unit="pv", low=-1e9, high=1e9, source="the transmitter")
-    pv_max: float = setting("Upper end of the pv range", unit="pv", low=-1e9, high=1e9, source="the transmitter")
-    sample_time_s: float = setting(
-        "Sampling interval of the controller", unit="s", low=0.0001, high=3600, source="the controller"
-    )
-    co_min_pct: float = setting(
-        "Lower limit of the output", unit="%", low=-200, high=200, default=0.0, source="actuator"
-    )
-    co_max_pct: float = setting(
-        "Upper limit of the output", unit="%", low=-200, high=200, default=100.0, source="actuator"
-    )
+    name: str = setting("Name of the loop in reports and the ledger", "1..64 characters", source="the plant's tag")
+    pv_unit: str = setting("Engineering unit of pv and sp", "1..16 characters", source="the transmitter")
+    pv_min: float = setting("Lower end of the pv range", "-1e9..1e9 pv", source="the transmitter")
+    pv_max: float = setting("Upper end of the pv range", "-1e9..1e9 pv", source="the transmitter")
+    sample_time_s: float = setting("Sampling interval of the controller", "0.0001..3600 s", source="the controller")
+    co_min_pct: float = setting("Lower limit of the output", "-200..200 %", 0.0, "actuator")
+    co_max_pct: float = setting("Upper limit of the output", "-200..200 %", 100.0, "actuator")
     co_rate_pct_per_s: float | None = setting(
-        "Fastest move of the output; absent: no limit", unit="%/s", above=0, high=1e6, default=None, source="actuator"
+        "Fastest move of the output; absent: no limit", ">0..1e6 %/s", None, "actuator"
     )
     b: float = setting(
         "Setpoint weight of the proportional action: 1 acts on the error, 0 on pv alone",
-        unit="1",
-        low=0,
-        high=1,
-        default=1.0,
-        source="Astrom & Hagglund 2006, section 3.4; 1 is what SIMC assumes",
+        "0..1 1",
+        1.0,
+        "Astrom & Hagglund 2006, section 3.4; 1 is what SIMC assumes",
     )
-    tau_f_s: float = setting(
-        "Filter time of the derivative action; 0: no filter",
-        unit="s",
-        low=0,
-        high=1e6,
-        default=0.0,
-        source="controller",
-    )
+    tau_f_s: float = setting("Filter time of the derivative action; 0: no filter", "0..1e6 s", 0.0, "controller")
 
     plant: str = setting(
         "Plant that the loop shares with others of the session, by a name: they are retuned with regard to each other; "
         "empty: its own",
-        text=(0, 64),
-        default="",
+        "0..64 characters",
+        "",
     )
     controller: str | None = setting(
         'How gains are shown: "yokogawa", "kc-s", "pb-rpm" and so on (docs/coming-from.md); absent: as the first '
         "region has them",
-        text=(1, 32),
-        default=None,
+        "1..32 characters",
+        None,
     )
     action: Literal["reverse", "direct"] | None = setting(
         "What the output does when pv rises: reverse, it falls (heating); direct, it rises (cooling); absent: the sign "
@@ -126,7 +111,7 @@ def _in_seconds(region: RegionConfig, gains: PidGains) -> dict[str, float | None
 class Config(Section):
     """One loop, its schedule, and how it is watched and retuned."""
 
-    schema_version: Literal[1] = setting("Version of this file's layout", alias="schema", source="this release")
+    schema_version: Literal[1] = setting("Version of this file's layout", source="this release", alias="schema")
     loop: LoopConfig = setting("The loop")
     schedule: ScheduleConfig = setting("Which gains apply where")
     adaptation: AdaptationConfig = setting(

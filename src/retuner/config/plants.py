@@ -16,17 +16,15 @@ LARGE = 1e9  # what a number of a model may be: no physical one is larger in any
 class LoadConfig(Section):
     """[[device.plant.loads]]: a recorded load on top of the plant: how a column moved from its first value on."""
 
-    file: str = setting("File with the record, as diagnose reads it", text=(1, 1024))
-    column: str = setting("Column of the load", text=(1, 128))
-    time: str = setting(
-        "Column of the time; empty: found as diagnose finds it", text=(0, 128), default="", source="none"
-    )
+    file: str = setting("File with the record, as diagnose reads it", "1..1024 characters")
+    column: str = setting("Column of the load", "1..128 characters")
+    time: str = setting("Column of the time; empty: found as diagnose finds it", "0..128 characters", "", "none")
     at: Literal["input", "output"] = setting(
         "Where it acts: at the plant's input in % of co, or at its output in pv units",
         default="input",
         source="where loads act in most plants",
     )
-    scale: float = setting("Load for one of the column's", low=-LARGE, high=LARGE, default=1.0, source="none")
+    scale: float = setting("Load for one of the column's", f"{-LARGE}..{LARGE}", 1.0, "none")
     repeat: bool = setting(
         "Whether it begins again after its last row; else it stays there", default=False, source="none"
     )
@@ -43,7 +41,7 @@ class OvenPlantConfig(_PlantSection):
     """[device.plant] with kind = "oven": a laboratory oven, 20 to 220 degC."""
 
     kind: Literal["oven"] = setting("Which plant")
-    start_c: float = setting("Temperature at the start", unit="degC", low=-50, high=500, default=20.0, source="a room")
+    start_c: float = setting("Temperature at the start", "-50..500 degC", 20.0, "a room")
 
     def settings(self) -> OvenSettings:
         """The oven's physics as the plant takes it."""
@@ -54,18 +52,16 @@ class LinearPlantConfig(_PlantSection):
     """[device.plant] with kind = "linear": G(s) = k prod(1 + lead s) / (s^n prod(1 + lag s)) e^(-theta s), exact."""
 
     kind: Literal["linear"] = setting("Which plant")
-    k: float = setting("Gain; per second for an integrating plant", unit="pv/%", low=-1e9, high=1e9)
-    lags_s: Many[Annotated[float, Field(ge=0, le=1e9)]] = setting("Lags", unit="s", default=())
+    k: float = setting("Gain; per second for an integrating plant", "-1e9..1e9 pv/%")
+    lags_s: Many[Annotated[float, Field(ge=0, le=1e9)]] = setting("Lags", "s", ())
     leads_s: Many[Annotated[float, Field(ge=-1e9, le=1e9)]] = setting(
-        "Leads; a negative one is an inverse response", unit="s", default=()
+        "Leads; a negative one is an inverse response", "s", ()
     )
-    theta_s: float = setting("Dead time", unit="s", low=0, high=1e7, default=0.0)
-    integrators: int = setting("Number of integrators", low=0, high=2, default=0)
-    start_pv: float = setting("pv at the start, at rest", unit="pv", low=-1e9, high=1e9, default=0.0)
-    start_co_pct: float = setting(
-        "Output that holds start_pv", unit="%", low=-200, high=200, default=50.0, source="user"
-    )
-    noise: float = setting("Standard deviation of the measurement noise", unit="pv", low=0, default=0.0)
+    theta_s: float = setting("Dead time", "0..1e7 s", 0.0)
+    integrators: int = setting("Number of integrators", "0..2", 0)
+    start_pv: float = setting("pv at the start, at rest", "-1e9..1e9 pv", 0.0)
+    start_co_pct: float = setting("Output that holds start_pv", "-200..200 %", 50.0, "user")
+    noise: float = setting("Standard deviation of the measurement noise", "0.. pv", 0.0)
 
     def problems(self) -> Iterator[Problem]:
         """A process that moves and that can be built."""
@@ -84,7 +80,7 @@ class BoilerPlantConfig(_PlantSection):
     """[device.plant] with kind = "boiler": a continuous-flow boiler: gain by temperature, lag and delay by flow."""
 
     kind: Literal["boiler"] = setting("Which plant; a load is the change of its flow")
-    start_c: float = setting("Temperature at the start", unit="degC", low=0, high=500, default=30.0)
+    start_c: float = setting("Temperature at the start", "0..500 degC", 30.0)
 
     def settings(self) -> BoilerSettings:
         """The boiler's physics as the plant takes it."""
@@ -103,28 +99,21 @@ class ModelSection(_PlantSection):
 
     shared: str = setting(
         "Name of a plant on which several loops act: those that give the same one share one model; empty: its own",
-        text=(0, 64),
-        default="",
+        "0..64 characters",
+        "",
     )
     input: str = setting(
-        "Input that the controller's output moves; empty where the model has one",
-        text=(0, 128),
-        default="",
-        source="the model",
+        "Input that the controller's output moves; empty where the model has one", "0..128 characters", "", "the model"
     )
     output: str = setting(
-        "Output that is the loop's pv; empty where the model has one", text=(0, 128), default="", source="the model"
+        "Output that is the loop's pv; empty where the model has one", "0..128 characters", "", "the model"
     )
-    aux: str = setting(
-        "Another output, which the device publishes as PLANT.aux; empty: none", text=(0, 128), default=""
-    )
+    aux: str = setting("Another output, which the device publishes as PLANT.aux; empty: none", "0..128 characters", "")
     load_input: str = setting(
-        "Input that the scenario's loads move; empty: they are added to co", text=(0, 128), default=""
+        "Input that the scenario's loads move; empty: they are added to co", "0..128 characters", ""
     )
-    start_co_pct: float = setting(
-        "Output at the start, under which the model is at rest", unit="%", low=-200, high=200, default=50.0
-    )
-    noise: float = setting("Standard deviation of the measurement noise", unit="pv", low=0, high=LARGE, default=0.0)
+    start_co_pct: float = setting("Output at the start, under which the model is at rest", "-200..200 %", 50.0)
+    noise: float = setting("Standard deviation of the measurement noise", f"0..{LARGE} pv", 0.0)
 
     @property
     def of_the_model(self) -> dict[str, object]:
@@ -147,33 +136,21 @@ class _ForeignModelSection(ModelSection):
     parameters: dict[str, Parameter] = setting(
         "Parameters and start values by name", default={}, source="the model's own"
     )
-    input_scale: float = setting(
-        "Of the model's input for 1 % of co", low=-LARGE, high=LARGE, default=1.0, source="the model is in %"
-    )
-    input_offset: float = setting(
-        "The model's input at co = 0", low=-LARGE, high=LARGE, default=0.0, source="the model is in %"
-    )
-    output_scale: float = setting(
-        "pv for one of the model's output", low=-LARGE, high=LARGE, default=1.0, source="the same unit"
-    )
-    output_offset: float = setting(
-        "pv where the model's output is 0", unit="pv", low=-LARGE, high=LARGE, default=0.0, source="the same unit"
-    )
+    input_scale: float = setting("Of the model's input for 1 % of co", f"{-LARGE}..{LARGE}", 1.0, "the model is in %")
+    input_offset: float = setting("The model's input at co = 0", f"{-LARGE}..{LARGE}", 0.0, "the model is in %")
+    output_scale: float = setting("pv for one of the model's output", f"{-LARGE}..{LARGE}", 1.0, "the same unit")
+    output_offset: float = setting("pv where the model's output is 0", f"{-LARGE}..{LARGE} pv", 0.0, "the same unit")
     settle_s: float = setting(
         "How long the model is run on start_co_pct before the bench begins, for one that does not begin at rest",
-        unit="s",
-        low=0,
-        high=LARGE,
-        default=0.0,
-        source="it begins at rest",
+        f"0..{LARGE} s",
+        0.0,
+        "it begins at rest",
     )
     patience_s: float = setting(
         "Time of the machine that a step, or the model's beginning, may take; then it counts as hanging",
-        unit="s",
-        above=0,
-        high=3600,
-        default=60.0,
-        source="large imports on a busy machine take half a minute",
+        ">0..3600 s",
+        60.0,
+        "large imports on a busy machine take half a minute",
     )
 
 
@@ -181,22 +158,20 @@ class PythonPlantConfig(_ForeignModelSection):
     """[device.plant] with kind = "python": an object with a method step(co, dt) that returns pv."""
 
     kind: Literal["python"] = setting("Which plant")
-    model: str = setting('The class: "module:Class" or "folder/file.py:Class"', text=(3, 1024))
+    model: str = setting('The class: "module:Class" or "folder/file.py:Class"', "3..1024 characters")
 
 
 class FmuPlantConfig(_ForeignModelSection):
     """[device.plant] with kind = "fmu": a functional mock-up unit of FMI 2 or 3; needs the extra fmu."""
 
     kind: Literal["fmu"] = setting("Which plant")
-    file: str = setting("The FMU", text=(1, 1024))
+    file: str = setting("The FMU", "1..1024 characters")
     interface: Literal["", "co_simulation", "model_exchange"] = setting(
         "Which interface of an FMU that has both; empty: co-simulation, where it has it",
         default="",
         source="the FMU brings its solver",
     )
-    step_s: float = setting(
-        "Longest communication step; 0: the loop's sample time", unit="s", low=0, high=LARGE, default=0.0, source="none"
-    )
+    step_s: float = setting("Longest communication step; 0: the loop's sample time", f"0..{LARGE} s", 0.0, "none")
 
 
 class StateSpacePlantConfig(ModelSection):
@@ -205,19 +180,19 @@ class StateSpacePlantConfig(ModelSection):
     kind: Literal["state_space"] = setting("Which plant")
     model: str = setting(
         'A system of python-control or scipy.signal in place of matrices: "module:name" or "folder/file.py:name"',
-        text=(0, 1024),
-        default="",
+        "0..1024 characters",
+        "",
     )
-    a: Rows = setting("Matrix A, by rows", unit="1/s", default=())
+    a: Rows = setting("Matrix A, by rows", "1/s", ())
     b: Rows = setting("Matrix B, inputs in %", default=())
     c: Rows = setting("Matrix C, outputs in pv units", default=())
     d: Rows = setting("Matrix D; empty: none", default=())
     theta_s: float | Rows = setting(
-        "Dead time: one, or a row for each output with one for each input", unit="s", default=0.0, source="none"
+        "Dead time: one, or a row for each output with one for each input", "s", 0.0, "none"
     )
     inputs: Many[str] = setting("Names of the inputs, in the order of B's columns", default=(), source="user")
     outputs: Many[str] = setting("Names of the outputs, in the order of C's rows", default=(), source="user")
-    start_pv: float = setting("pv at the start, at rest", unit="pv", low=-LARGE, high=LARGE, default=0.0, source="user")
+    start_pv: float = setting("pv at the start, at rest", f"{-LARGE}..{LARGE} pv", 0.0, "user")
 
     def problems(self) -> Iterator[Problem]:
         """One description of the system."""
@@ -230,8 +205,8 @@ class IdentifiedPlantConfig(_PlantSection):
     """[device.plant] with kind = "identified": the plant of a record, as `retuner identify` found it, and its load."""
 
     kind: Literal["identified"] = setting("Which plant")
-    file: str = setting("What retuner identify RECORD --json printed", text=(1, 1024))
-    record: str = setting("The record, for its load and its start", text=(1, 1024))
+    file: str = setting("What retuner identify RECORD --json printed", "1..1024 characters")
+    record: str = setting("The record, for its load and its start", "1..1024 characters")
     load: Literal["alike", "recorded"] = setting(
         "Another load of the same spectrum, or the record's own", default="alike"
     )

@@ -29,13 +29,13 @@ Edge = Annotated[float, Field(ge=-1e9, le=1e9)]
 
 def _number(meaning: str, unit: str, low: float = -1e9) -> Any:  # noqa: ANN401  as setting()
     """A number of the controller that another one may stand for."""
-    return setting(meaning, unit=unit, low=low, high=1e9, default=None, source="the active gains")
+    return setting(meaning, f"{low}..1e9 {unit}", None, "the active gains")
 
 
 class RegionConfig(Section):
     """[[schedule.region]]: the gains of one operating region, in the units in which they stand on the controller."""
 
-    name: str = setting("Name of the region in reports", text=(1, 32))
+    name: str = setting("Name of the region in reports", "1..32 characters")
     kc: float | None = _number(
         "Controller gain of the named form, or gain or pb_pct; negative where [loop] action is not given and the "
         "controller is direct-acting",
@@ -45,19 +45,17 @@ class RegionConfig(Section):
     pb_pct: float | None = _number("In place of kc: proportional band in percent of the span of pv", "%")
     tau_i_s: IntegralTime | Literal["none"] | None = setting(
         'Integral time of the named form, or "none" for no integral action; or tau_i_min or repeats_per_min',
-        unit="s",
-        default=None,
-        source="the active gains",
+        "s",
+        None,
+        "the active gains",
     )
     tau_i_min: IntegralTime | Literal["none"] | None = setting(
-        "In place of tau_i_s: the same in minutes", unit="min", default=None, source="the active gains"
+        "In place of tau_i_s: the same in minutes", "min", None, "the active gains"
     )
     repeats_per_min: float | None = _number(
         "In place of tau_i_s: repeats per minute, 0 for no integral action", "1/min", low=0
     )
-    tau_d_s: float = setting(
-        "Derivative time of the named form", unit="s", low=0, high=1e9, default=0.0, source="the active gains"
-    )
+    tau_d_s: float = setting("Derivative time of the named form", "0..1e9 s", 0.0, "the active gains")
     tau_d_min: float | None = _number("In place of tau_d_s: the same in minutes", "min", low=0)
     form: Literal["series", "ideal", "parallel"] = setting(
         "Form of these numbers; parallel means the times are kp/ki and kd/kp",
@@ -68,9 +66,9 @@ class RegionConfig(Section):
     cell: Many[Annotated[int, Field(ge=1, le=64)]] = setting(
         "With two axes the place on each, counted from 1; for all regions or for none; if none, the second axis "
         "counts fastest",
-        text=(0, 2),
-        default=(),
-        source="the order in the file",
+        "0..2 entries",
+        (),
+        "the order in the file",
     )
 
     mode: Literal["off", "advise", "trial", "auto"] | None = setting(
@@ -130,50 +128,35 @@ class AxisConfig(Section):
     """[[schedule.axis]]: one scheduling variable and the boundaries on it; one or two of these."""
 
     variable: Literal["sp", "pv", "co", "can"] = setting("What the gains follow; can: another signal on the bus")
-    unit: str | None = setting(
-        "Unit of the variable; absent: that of sp, pv or co", text=(1, 16), default=None, source="[loop]"
-    )
+    unit: str | None = setting("Unit of the variable; absent: that of sp, pv or co", "1..16 characters", None, "[loop]")
     range: Many[Edge] = setting(
-        "Lower and upper end of the variable; empty: those of sp, pv or co",
-        unit="unit",
-        text=(0, 2),
-        default=(),
-        source="[loop]",
+        "Lower and upper end of the variable; empty: those of sp, pv or co", "0..2 entries in unit", (), "[loop]"
     )
-    bounds: Many[float] = setting("Boundaries on the axis, increasing", unit="unit", default=())
+    bounds: Many[float] = setting("Boundaries on the axis, increasing", "unit", ())
     hysteresis: float = setting(
-        "How far beyond a boundary a place is kept",
-        unit="unit",
-        low=0,
-        high=1e9,
-        default=0.0,
-        source="more than the noise that the filter leaves",
+        "How far beyond a boundary a place is kept", "0..1e9 unit", 0.0, "more than the noise that the filter leaves"
     )
-    min_stay_s: float = setting("Shortest stay in a place", unit="s", low=0, high=1e6, default=0.0)
+    min_stay_s: float = setting("Shortest stay in a place", "0..1e6 s", 0.0)
     filter_s: float = setting(
         "Time constant of the first-order filter of the variable; 0: none",
-        unit="s",
-        low=0,
-        high=1e6,
-        default=0.0,
-        source="none for sp; some samples for what is noisy",
+        "0..1e6 s",
+        0.0,
+        "none for sp; some samples for what is noisy",
     )
     dbc: str = setting(
         "With can: DBC file that describes the signal, relative to where the command runs; empty: the virtual device's "
         "own plant.dbc",
-        text=(0, 1024),
-        default="",
+        "0..1024 characters",
+        "",
     )
-    message: str = setting("With can: name of the message in the DBC", text=(0, 128), default="", source="the DBC")
-    signal: str = setting("With can: name of the signal in it", text=(0, 128), default="", source="the DBC")
+    message: str = setting("With can: name of the message in the DBC", "0..128 characters", "", "the DBC")
+    signal: str = setting("With can: name of the signal in it", "0..128 characters", "", "the DBC")
     stale_after_s: float = setting(
         "With can: age of the last value after which the variable is not known; the region then stays, and no model is "
         "updated",
-        unit="s",
-        above=0,
-        high=1e6,
-        default=STALE_AFTER_S,
-        source="ten frames at one a second",
+        ">0..1e6 s",
+        STALE_AFTER_S,
+        "ten frames at one a second",
     )
 
     def problems(self) -> Iterator[Problem]:
@@ -220,25 +203,19 @@ class ScheduleConfig(Section):
     """[schedule]: regions along a scheduling variable; [[schedule.axis]] for two, or for a signal on the bus."""
 
     variable: Literal["sp", "pv", "co"] = setting("What the gains follow", default="sp", source="sp is quiet")
-    bounds: Many[float] = setting(
-        "Boundaries between the regions, increasing; none for a single region", unit="pv or %", default=()
-    )
+    bounds: Many[float] = setting("Boundaries between the regions, increasing; none for a single region", "pv or %", ())
     hysteresis: float = setting(
         "How far beyond a boundary a region is kept",
-        unit="pv or %",
-        low=0,
-        high=1e9,
-        default=0.0,
-        source="more than the noise of the variable; 0 suits sp",
+        "0..1e9 pv or %",
+        0.0,
+        "more than the noise of the variable; 0 suits sp",
     )
-    min_stay_s: float = setting("Shortest stay in a region", unit="s", low=0, high=1e6, default=0.0)
+    min_stay_s: float = setting("Shortest stay in a region", "0..1e6 s", 0.0)
     filter_s: float = setting(
         "Time constant of the first-order filter of the variable; 0: none",
-        unit="s",
-        low=0,
-        high=1e6,
-        default=0.0,
-        source="none for sp; some samples for a noisy pv",
+        "0..1e6 s",
+        0.0,
+        "none for sp; some samples for a noisy pv",
     )
     lookup: Literal["hard", "interpolated"] = setting(
         "hard: the gains of the region; interpolated: weighted between the regions' centres",
@@ -247,13 +224,13 @@ class ScheduleConfig(Section):
     )
     proposal: str = setting(
         "Hash of the proposal from which `retuner approve --into` took this schedule; the ledger of a run tells it",
-        text=(0, 64),
-        default="",
-        source="retuner",
+        "0..64 characters",
+        "",
+        "retuner",
     )
-    axis: Many[AxisConfig] = setting("One or two [[schedule.axis]] in place of the keys above", text=(0, 2), default=())
+    axis: Many[AxisConfig] = setting("One or two [[schedule.axis]] in place of the keys above", "0..2 entries", ())
     region: Many[RegionConfig] = setting(
-        "One [[schedule.region]] for each region, from the lowest to the highest", text=(1, 64), source="user"
+        "One [[schedule.region]] for each region, from the lowest to the highest", "1..64 entries", source="user"
     )
 
     @property

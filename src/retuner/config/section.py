@@ -12,7 +12,7 @@ from typing import Annotated, Any, TypeVar
 from pydantic import AliasChoices, BaseModel, ConfigDict, Field, Strict, create_model, model_validator
 from pydantic_core import PydanticUndefined
 
-from retuner.adaptive.declared_setting import Declared, declared
+from retuner.adaptive.declared_setting import Declared, SettingLimits, declared
 from retuner.config.toml_lines import Path
 from retuner.schedule.late_dataclass import dataclass
 
@@ -63,44 +63,39 @@ class Section(BaseModel):
 
 def setting(
     meaning: str,
-    *,
-    unit: str = "-",
-    source: str = "the user",
+    limits: str = "-",
     default: object = PydanticUndefined,
-    low: float | None = None,
-    high: float | None = None,
-    above: float | None = None,
-    below: float | None = None,
-    text: tuple[int, int] | None = None,
+    source: str = "the user",
+    *,
     alias: str | None = None,
     names: tuple[str, ...] = (),
 ) -> Any:  # noqa: ANN401  the type of a pydantic field default is the field's own
     """Declare a setting.
 
     meaning : what it does, one sentence without a full stop.
-    unit : "s", "%", "pv" (the loop's own unit), "1" for ratios, "-" for names and choices.
-    source : where the default or the limit comes from.
+    limits : and its unit, as in "0..1e9 s": "pv" is the loop's own unit, "1" for ratios; or "1..64 characters",
+    "0..2 entries", "0..2 entries in s" of a text or a list. Without a unit it is a name or a choice.
     default : value when the key is missing; without one the key must be given.
-    low, high, above, below : limits, the first two inclusive, the others exclusive.
-    text : least and greatest number of characters.
+    source : where the default or the limit comes from.
     alias : its name in the file, where Python keeps the field's for itself.
     names : under which the file may have it, where that is more than one: the field's own, then former ones.
     """
+    low, high, above, below, unit = SettingLimits.of(limits)
+    counted, _, unit = unit.partition(" in ") if unit.startswith(COUNTED) else ("", "", unit)
+    least, most = (low if math.isfinite(low) else None), (high if math.isfinite(high) else None)
+    ends: Any = {"min_length" if counted else "gt" if above else "ge": least}
+    ends["max_length" if counted else "lt" if below else "le"] = most
     return Field(
         default=default,
         description=meaning,
-        ge=low,
-        le=high,
-        gt=above,
-        lt=below,
-        min_length=text[0] if text else None,
-        max_length=text[1] if text else None,
+        **ends,
         alias=alias,
         validation_alias=AliasChoices(*names) if names else alias,
-        json_schema_extra={"unit": unit, "source": source},
+        json_schema_extra={"unit": unit or "-", "source": source},
     )
 
 
+COUNTED = ("characters", "entries")
 AnySection = TypeVar("AnySection", bound=Section)
 ALL: Mapping[str, dict[str, Any]] = MappingProxyType({})
 GREATEST = 1e9
@@ -139,9 +134,6 @@ def held_by(section: Section, settings: type, prefix: str = "") -> dict[str, Any
 
 def _field(one: Declared) -> tuple[object, object]:
     s = one.setting
-    limits: Any = {"above" if s.positive else "low": s.low, "high": s.high}
-    if s.low == 0 and s.high == math.inf:
-        limits = {"above": 0, "high": GREATEST}
-    default = None if s.absent else one.default
-    field = setting(s.meaning, unit=s.unit, source=s.source, default=default, **limits)
+    positive, high = (True, GREATEST) if s.low == 0 and s.high == math.inf else (s.positive, s.high)
+    field = setting(s.meaning, f"{'>' * positive}{s.low}..{high} {s.unit}", None if s.absent else one.default, s.source)
     return (one.type | None if s.absent else one.type), field
