@@ -52,7 +52,7 @@ class SettingLimits(NamedTuple):
 
     @classmethod
     def of(cls, text: str) -> "SettingLimits":
-        """SettingLimits and unit as a data sheet has them: "0..1e9 s", ">0..1", "2.. samples", "%/pv"."""
+        """Limits and unit as a data sheet has them: "0..1e9 s", ">0..1", "2.. samples", "%/pv"."""
         ends, _, unit = text.partition(" ") if ".." in text else ("..", "", text)
         low, _, high = ends.partition("..")
         least, most = low.removeprefix(">"), high.removeprefix("<")
@@ -64,7 +64,7 @@ def _number(text: str) -> float:
 
 
 def setting(default: T, meaning: str, limits: str = "", source: str = "", *, absent: bool = False) -> T:
-    """A field of a dataclass with its default and its declaration: see Setting; limits : as SettingLimits.of reads them."""
+    """A field of a dataclass with its default and its declaration: see Setting. limits : for SettingLimits.of."""
     low, high, positive, _, unit = SettingLimits.of(limits)
     note = Setting(meaning, low, high, unit or "1", source, absent, positive)
     return field(default=default, metadata={Setting.__name__: note})
