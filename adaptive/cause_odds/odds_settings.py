@@ -107,9 +107,4 @@ class OddsSettings:
     @property
     def prior(self) -> dict[str, float]:
         """Prior of each class of tuning."""
-        return {
-            "ok": self.ok,
-            "aggressive": self.aggressive,
-            "slow_integrating": self.slow_integrating,
-            "sluggish": self.sluggish,
-        }
+        return {name: getattr(self, name) for name in ("ok", "aggressive", "slow_integrating", "sluggish")}

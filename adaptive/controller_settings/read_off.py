@@ -23,6 +23,7 @@ from retuner.adaptive.indexes.recording_quality import quantum, recording_qualit
 from retuner.adaptive.signals.sample import Window, quantile
 from retuner.schedule.gains import Form, PidGains, in_form
 from retuner.schedule.late_dataclass import dataclass, replace
+from retuner.schedule.plain_values import plain_values
 
 # ---- Which structure of a PID law made a record: lag, equation, derivative and filters, and whether P and I are there.
 #
@@ -240,20 +241,16 @@ class SettingsInForce:
         """Keys parallel {kp, ki, kd}, std, forms, direction, b, derivative_on, tau_f, pv_filter, lag, explained,
         samples, reason; times in seconds, lag in samples.
         """
-        g, s = self.gains, self.structure
+        s = self.structure
         return {
-            "parallel": {"kp": g.kp, "ki": g.ki, "kd": g.kd} if g else None,
-            "std": self.std,
+            **plain_values(self, "parallel=gains std"),
             "forms": self.forms(),
-            "direction": self.direction,
-            "b": self.b,
+            **plain_values(self, "direction b"),
             "derivative_on": s.derivative or None if s else None,
             "tau_f": s.tau_f_s if s else None,
             "pv_filter": s.pv_filter_s if s else None,
             "lag": s.lag if s else None,
-            "explained": self.explained,
-            "samples": self.samples,
-            "reason": self.reason,
+            **plain_values(self, "explained samples reason"),
         }
 
 

@@ -11,6 +11,7 @@ from retuner.adaptive.loop.margins import EDGE, Margins, margins, sensitivity_pe
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, field, replace
+from retuner.schedule.plain_values import plain_values
 
 
 class Cause(StrEnum):
@@ -71,17 +72,9 @@ class Diagnosis:
 
     def to_dict(self) -> dict[str, object]:
         """Keys cause, confidence, retune, evidence, reason."""
-        evidence = {name: value if math.isfinite(value) else None for name, value in self.evidence.items()}
-        odds = {"causes": dict(self.causes)} if self.causes else {}
-        return {
-            "cause": str(self.cause),
-            "confidence": self.confidence,
-            **odds,
-            "retune": self.retune,
-            "evidence": evidence,
-            "reason": self.reason,
-            **({"next": self.next.to_dict()} if self.next is not None else {}),
-        }
+        odds = plain_values(self, "causes") if self.causes else {}
+        test = plain_values(self, "next") if self.next is not None else {}
+        return plain_values(self, "cause confidence") | odds | plain_values(self, "retune evidence reason") | test
 
 
 # How often an answer of each kind is right: what the weight of a verdict among its like-minded rivals cannot say.

@@ -25,6 +25,7 @@ from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window, median, trapezoid
 from retuner.schedule.late_dataclass import dataclass
+from retuner.schedule.plain_values import plain_values
 
 FEWEST_WAVES = 2  # full waves from which a result is given; the first after the start is not among them
 LEVEL_WIDTH = 0.05  # co within this share of the relay's range belongs to one of its two levels
@@ -80,20 +81,8 @@ class RelayCycle:
 
     def to_dict(self) -> dict[str, float | int | bool]:
         """Keys as in the JSON output of `retuner experiment relay`."""
-        return {
-            "ku": self.ku,
-            "pu": self.pu_s,
-            "ku_std": self.ku_std,
-            "pu_std": self.pu_std_s,
-            "waves": self.waves,
-            "amplitude": self.amplitude,
-            "co_amplitude": self.co_amplitude,
-            "hysteresis": self.hysteresis,
-            "high": self.high_s,
-            "low": self.low_s,
-            "gain": self.gain,
-            "phase_deg": self.phase_deg,
-        }
+        names = "ku pu=pu_s ku_std pu_std=pu_std_s waves amplitude co_amplitude hysteresis high=high_s low=low_s gain"
+        return plain_values(self, f"{names} phase_deg")
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,6 +24,7 @@ from retuner.adaptive.rules.rule import Tuning, tuning
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window, median
 from retuner.schedule.late_dataclass import dataclass
+from retuner.schedule.plain_values import plain_values
 
 T1_SHARE = 1 - math.exp(-1 / 3)
 T2_SHARE = 1 - math.exp(-1)
@@ -393,15 +394,8 @@ class Swing:
 
     def to_dict(self) -> dict[str, float | int | bool]:
         """Keys as in the JSON output of `retuner experiment ultimate`."""
-        return {
-            "period": self.period_s,
-            "period_std": self.period_std_s,
-            "amplitude": self.amplitude,
-            "decay": self.decay,
-            "periods": self.periods,
-            "sustained": self.sustained,
-            "quarter_decay": self.quarter_decay,
-        }
+        names = "period=period_s period_std=period_std_s amplitude decay periods sustained quarter_decay"
+        return plain_values(self, names)
 
 
 def swing(window: Window) -> Swing:

@@ -7,6 +7,7 @@ from retuner.adaptive.decision_numbers import NO_NUMBERS, Numbers
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass
+from retuner.schedule.plain_values import plain_value, plain_values
 
 
 class Ruling(StrEnum):
@@ -141,13 +142,7 @@ class Check:
 
     def to_dict(self) -> dict[str, object]:
         """Plain values; null where a number is infinite or not known."""
-        return {
-            "name": self.name,
-            "words": self.words,
-            "value": plain(self.value),
-            "limit": plain(self.limit),
-            "passed": self.passed,
-        }
+        return plain_values(self, "name words value limit passed")
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,19 +190,13 @@ class Proof:
 
     def to_dict(self) -> dict[str, object]:
         """Plain values; null where Ms is infinite (unstable) or not known."""
-        ms = {"nominal": self.ms_nominal, "worst": self.ms_worst, "before": self.ms_before}
         return {
-            "accepted": self.accepted,
-            "ruling": self.code,
-            "code": self.code,
-            "step": self.step,
-            "ms": {name: plain(value) for name, value in ms.items()},
-            "tau_c_s": self.tau_c_s,
-            "reason": self.sentence,
-            "numbers": {name: plain(value) for name, value in self.numbers.to_dict().items()},
-            "checks": [check.to_dict() for check in self.checks],
-            "notes": list(self.notes),
-            "allowed": [{"model": p.model.to_dict(), "excess": p.excess} for p in self.allowed],
+            **plain_values(self, "accepted ruling=code code step"),
+            "ms": plain_values(self, "nominal=ms_nominal worst=ms_worst before=ms_before"),
+            **plain_values(self, "tau_c_s reason=sentence"),
+            "numbers": plain_value(self.numbers.to_dict()),
+            **plain_values(self, "checks notes"),
+            "allowed": [plain_values(p, "model excess") for p in self.allowed],
             "urgent": self.urgent,
         }
 
@@ -217,8 +206,3 @@ def text(name: str, value: float) -> str:
     if name.startswith("ms_"):
         return "unknown" if math.isnan(value) else "unstable" if math.isinf(value) else f"{value:.2f}"
     return f"{value:.4g}"
-
-
-def plain(value: float) -> float | None:
-    """The value where it is a finite number."""
-    return value if math.isfinite(value) else None

@@ -12,6 +12,7 @@ from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.simc import simc, without_second_lag
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.late_dataclass import dataclass, replace
+from retuner.schedule.plain_values import plain_values
 
 SMALLEST_VARIANCE = 1e-12
 """Least variance of a log-parameter: no record knows a process to a millionth, rounding makes less negative."""
@@ -272,14 +273,6 @@ class ModelEstimate:
 
     def to_dict(self) -> dict[str, object]:
         """Keys identifiable, model, std, reason, loads, residual, noise, coloured, rival."""
-        return {
-            "identifiable": self.identifiable,
-            "model": self.log.model().to_dict(),
-            "std": self.log.std(),
-            "reason": self.reason,
-            "loads": list(self.load_times_s),
-            "residual": self.residual_std,
-            "noise": self.noise_std,
-            "coloured": self.coloured,
-            "rival": self.rival.to_dict() if self.rival is not None else None,
-        }
+        names = "reason loads=load_times_s residual=residual_std noise=noise_std coloured rival"
+        known = {"identifiable": self.identifiable, "model": self.log.model().to_dict(), "std": self.log.std()}
+        return known | plain_values(self, names)

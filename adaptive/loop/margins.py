@@ -34,6 +34,7 @@ from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass
+from retuner.schedule.plain_values import plain_values
 
 # ---- Ms of the common kind of loop in a dozen evaluations of L
 
@@ -285,19 +286,8 @@ class Margins:
 
     def to_dict(self) -> dict[str, float | bool | None]:
         """Keys as in every JSON output; null where a value is infinite, and for all of an unstable loop."""
-        values = {
-            "ms": self.ms,
-            "mt": self.mt,
-            "gm": self.gm,
-            "pm_deg": self.pm_deg,
-            "delay_margin": self.delay_margin_s,
-            "w180": self.w180,
-            "wc": self.wc,
-        }
-        known: dict[str, float | bool | None] = {
-            name: value if self.stable and math.isfinite(value) else None for name, value in values.items()
-        }
-        return known | {"stable": self.stable}
+        known = plain_values(self, "ms mt gm pm_deg delay_margin=delay_margin_s w180 wc")
+        return (known if self.stable else dict.fromkeys(known)) | {"stable": self.stable}
 
 
 UNSTABLE = Margins(

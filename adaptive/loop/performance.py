@@ -23,6 +23,7 @@ from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
+from retuner.schedule.plain_values import plain_values
 
 # Total variation of the error's integral (IAE) and of the controller output (TV) along a step response.
 #
@@ -255,8 +256,7 @@ class Performance:
 
     def to_dict(self) -> dict[str, float | None]:
         """Keys iae_setpoint, iae_load, tv_setpoint, tv_load; null where infinite."""
-        names = ("iae_setpoint", "iae_load", "tv_setpoint", "tv_load")
-        return {name: value if math.isfinite(value := getattr(self, name)) else None for name in names}
+        return plain_values(self, "iae_setpoint iae_load tv_setpoint tv_load")
 
 
 NEVER = Variation(math.inf, math.inf)

@@ -10,9 +10,10 @@ from enum import StrEnum
 from typing import Any
 
 from retuner.adaptive.guard import SAME_GAINS, change_factor
-from retuner.adaptive.supervision.decision import Action, Decision, gains_dict
+from retuner.adaptive.supervision.decision import Action, Decision
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass
+from retuner.schedule.plain_values import plain_values
 
 
 class ProposalStanding(StrEnum):
@@ -74,15 +75,7 @@ class Proposal:
 
     def to_dict(self) -> dict[str, object]:
         """Plain values."""
-        return {
-            "digest": self.digest,
-            "number": self.number,
-            "region": self.region,
-            "t_s": self.t_s,
-            "before": gains_dict(self.before),
-            "after": gains_dict(self.after),
-            "promise": dict(self.prediction) if self.prediction is not None else None,
-        }
+        return plain_values(self, "digest number region t_s before after promise=prediction")
 
     @classmethod
     def from_dict(cls, body: Mapping[str, Any]) -> "Proposal":

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.late_dataclass import dataclass, replace
+from retuner.schedule.plain_values import plain_values
 
 ComplexArray = npt.NDArray[np.complex128]
 
@@ -251,14 +252,7 @@ class ProcessModel:
         swings = {"zeta": self.zeta} if self.zeta < 1 else {}
         swings |= {"inverse": self.inverse_s} if self.inverse_s else {}
         swings |= {"tau3": self.tau3_s} if self.tau3_s else {}
-        return {
-            "type": str(self.type),
-            "k": self.k,
-            "tau1": self.tau1_s,
-            "tau2": self.tau2_s,
-            "theta": self.theta_s,
-            **swings,
-        }
+        return plain_values(self, "type k tau1=tau1_s tau2=tau2_s theta=theta_s") | swings
 
 
 # ---- A linear process without its dead time as states:  dx/dt = A x + B v,  y = C x + D v.

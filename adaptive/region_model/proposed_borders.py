@@ -26,6 +26,7 @@ from retuner.adaptive.schedule_choice.borders_of_one_variable import CALMER, tim
 from retuner.adaptive.schedule_design.places import LEAST_STD, OUT, DesignLimits, Place, place_on
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass
+from retuner.schedule.plain_values import plain_value, plain_values
 from retuner.schedule.regions import Regions, choose, enter
 from retuner.schedule.table import GainTable, Lookup
 
@@ -142,10 +143,10 @@ class Refinement:
             "lookup": str(self.table.lookup),
             "bounds": list(self.table.regions.bounds),
             "knots": [self.table.regions.centre(i) for i in range(len(self.table.gains))],
-            "gains": [{"kp": one.kp, "ki": one.ki, "kd": one.kd} for one in self.table.gains],
+            **plain_values(self.table, "gains"),
             "places": self.places,
             "kept": [self.kept, self.kept_then],
-            "ms": [one if math.isfinite(one) else None for one in (self.ms, self.ms_then)],
+            "ms": plain_value((self.ms, self.ms_then)),
             "too_wide": [
                 {"region": w.region, "kc_factor": w.kc_factor, "share": [w.share, w.share_then]} for w in self.wide
             ],

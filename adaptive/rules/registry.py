@@ -9,6 +9,7 @@ from retuner.adaptive.rules import averaging, classic, lambda_imc, optimal, simc
 from retuner.adaptive.rules.rule import WISH_LABELS, ControllerKind, Oscillation, Rule, Takes, Tuning, Wishes
 from retuner.adaptive.rules.simc import TAU_I_FACTOR, without_second_lag
 from retuner.schedule.late_dataclass import dataclass, replace
+from retuner.schedule.plain_values import plain_values
 
 MODULES = (simc_family, averaging, optimal, lambda_imc, classic, ziegler_nichols)
 RULES: dict[str, Rule] = {rule.name: rule for module in MODULES for rule in module.RULES}
@@ -139,13 +140,7 @@ class Explanation:
 
     def to_dict(self) -> dict[str, object]:
         """Keys formula, with_numbers, numbers, source, valid."""
-        return {
-            "formula": list(self.formula),
-            "with_numbers": list(self.with_numbers),
-            "numbers": self.numbers,
-            "source": self.source,
-            "valid": self.valid,
-        }
+        return plain_values(self, "formula with_numbers numbers source valid")
 
 
 def explanation(

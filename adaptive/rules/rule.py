@@ -10,6 +10,7 @@ from enum import StrEnum
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.schedule.gains import PidGains, from_form, in_form
 from retuner.schedule.late_dataclass import dataclass
+from retuner.schedule.plain_values import plain_values
 
 # Which actions a controller has.
 
@@ -48,13 +49,8 @@ class Tuning:
         Raises ValueError: the gains do not exist in the form asked for.
         """
         shown = form or self.form
-        return {
-            "rule": self.rule,
-            "form": shown,
-            "gains": in_form(self.gains, shown),
-            "parallel": {"kp": self.gains.kp, "ki": self.gains.ki, "kd": self.gains.kd},
-            "tau_c": self.tau_c_s,
-        }
+        gains = {"form": shown, "gains": in_form(self.gains, shown)}
+        return {"rule": self.rule, **gains, **plain_values(self, "parallel=gains tau_c=tau_c_s")}
 
 
 def tuning(rule: str, form: str, kc: float, tau_i_s: float | None, tau_d_s: float, tau_c_s: float | None) -> Tuning:

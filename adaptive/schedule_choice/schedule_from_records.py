@@ -31,6 +31,7 @@ from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window, median
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
+from retuner.schedule.plain_values import plain_values
 from retuner.schedule.table import Lookup
 
 PLACES = 25  # places along the variable that are looked at
@@ -474,15 +475,7 @@ class NextExperiment:
 
     def to_dict(self) -> dict[str, float | bool | None]:
         """Keys x, x2 (null for one variable), co_step, sp_step, hold_s, gain_std, held."""
-        return {
-            "x": self.x,
-            "x2": self.x2,
-            "co_step": self.co_step,
-            "sp_step": self.sp_step,
-            "hold_s": self.hold_s,
-            "gain_std": self.gain_std,
-            "held": self.held,
-        }
+        return plain_values(self, "x x2 co_step sp_step hold_s gain_std held")
 
 
 def next_experiment(curves: Curves, places: Sequence[Place], co: Range = (None, None)) -> NextExperiment:

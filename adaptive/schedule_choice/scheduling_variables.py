@@ -25,6 +25,7 @@ from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window, median, quantile
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
+from retuner.schedule.plain_values import plain_values
 
 ROWS = 400  # rows wanted in a typical stretch
 OWN = ("sp", "pv", "co")  # signals of the loop itself; another variable may move pv on its own
@@ -214,9 +215,7 @@ class RegionCrossing:
 
     def to_dict(self) -> dict[str, object]:
         """Keys variable, up, share, iae_ratio (null where it does not end), overshoot, own_overshoot, proper."""
-        numbers = {name: getattr(self, name) for name in ("iae_ratio", "overshoot", "own_overshoot")}
-        told = {name: value if math.isfinite(value) else None for name, value in numbers.items()}
-        return {"variable": self.variable, "up": self.up, "share": self.share, **told, "proper": self.proper}
+        return plain_values(self, "variable up share iae_ratio overshoot own_overshoot proper")
 
     @property
     def proper(self) -> bool:

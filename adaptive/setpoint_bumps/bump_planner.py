@@ -24,6 +24,7 @@ from retuner.adaptive.setpoint_bumps.bump_settings import HOURS, BumpSettings
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.signals.step_sequence import STANDS
 from retuner.schedule.late_dataclass import dataclass
+from retuner.schedule.plain_values import plain_values
 
 SECONDS_PER_HOUR = 3600.0
 SAME = 0.05
@@ -134,14 +135,8 @@ class BumpNews:
 
     def to_dict(self) -> dict[str, object]:
         """Keys cause, phase, setpoint, before, to, reason."""
-        return {
-            "cause": self.cause.name.lower(),
-            "phase": self.phase.name.lower(),
-            "setpoint": self.setpoint,
-            "before": self.before,
-            "to": self.to,
-            "reason": self.reason,
-        }
+        said = {"cause": self.cause.name.lower(), "phase": self.phase.name.lower()}
+        return said | plain_values(self, "setpoint before to reason")
 
 
 class BumpPlanner:

@@ -10,6 +10,7 @@ from enum import StrEnum
 from typing import NamedTuple
 
 from retuner.schedule.late_dataclass import dataclass
+from retuner.schedule.plain_values import plain_values
 
 
 class Ending(StrEnum):
@@ -75,14 +76,9 @@ class Response:
     def to_dict(self) -> dict[str, object]:
         """Plain values for a ledger or JSON."""
         return {
-            "t_start_s": self.t_start_s,
-            "t_end_s": self.t_end_s,
+            **plain_values(self, "t_start_s t_end_s"),
             "peaks": [[p.t_s, p.e] for p in self.peaks],
             "ending": self.ending.name.lower(),
             "upset": "setpoint" if self.sp_changed else "load",
-            "overshoot": self.overshoot,
-            "damping": self.damping,
-            "period_s": self.period_s,
-            "band": self.band,
-            "taken_over": self.taken_over,
+            **plain_values(self, "overshoot damping period_s band taken_over"),
         }

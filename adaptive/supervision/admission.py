@@ -24,6 +24,7 @@ from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import LoopMode, LoopSample, Window, stood_still
 from retuner.schedule.late_dataclass import dataclass, replace
+from retuner.schedule.plain_values import plain_values
 from retuner.schedule.regions import Regions
 
 EVERYWHERE = (-math.inf, math.inf)
@@ -183,12 +184,8 @@ class Admission:
 
     def to_dict(self) -> dict[str, object]:
         """Keys admitted, ground, numbers, reason."""
-        return {
-            "admitted": self.admitted,
-            "ground": self.ground.name.lower(),
-            "numbers": self.numbers.to_dict(),
-            "reason": self.sentence,
-        }
+        ground = self.ground.name.lower()
+        return {"admitted": self.admitted, "ground": ground, **plain_values(self, "numbers reason=sentence")}
 
 
 def inside_region(regions: Regions, region: int) -> Callable[[LoopSample], bool]:

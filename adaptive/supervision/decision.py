@@ -29,6 +29,7 @@ from retuner.adaptive.trial.prediction import Prediction
 from retuner.adaptive.trial.trial import Trial
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, field, replace
+from retuner.schedule.plain_values import plain_values
 
 
 class Mode(StrEnum):
@@ -189,31 +190,14 @@ class Decision(display_hook.Shown):
         later, `all_samples` where a book is kept, `later` where gains of another region are to come into the table.
         """
         return {
-            "number": self.number,
-            "t_s": self.t_s,
-            "loop": self.loop,
-            "region": self.region,
-            "mode": str(self.mode),
-            "action": str(self.action),
-            "code": self.code,
-            "reason": self.reason,
+            **plain_values(self, "number t_s loop region mode action code reason"),
             "numbers": self.numbers.to_dict() | ({} if self.rollbacks is None else {"undos": float(self.rollbacks)}),
-            "gains_before": gains_dict(self.gains_before),
-            "gains_after": gains_dict(self.gains_after) if self.gains_after else None,
-            "response": self.response.to_dict() if self.response else None,
-            "estimate": self.estimate.to_dict() if self.estimate else None,
+            **plain_values(self, "gains_before gains_after response estimate"),
             "known": {"model": self.known.model().to_dict(), "std": self.known.std()} if self.known else None,
             "surprise": self.agreement.code if self.agreement else None,
-            "records": self.records,
-            "diagnosis": self.diagnosis.to_dict() if self.diagnosis else None,
-            "basis": str(self.basis) if self.basis else None,
-            "proposal": self.proposal.to_dict() if self.proposal else None,
-            "verdict": self.proof.to_dict() if self.proof else None,
-            "promise": self.prediction.to_dict() if self.prediction else None,
-            "judgement": self.judgement.to_dict() if self.judgement else None,
-            "trial": self.trial,
+            **plain_values(self, "records diagnosis basis proposal verdict=proof promise=prediction judgement trial"),
             **({"delay": self.delay._asdict()} if self.delay else {}),
-            **({"all_samples": self.all_samples.to_dict()} if self.all_samples else {}),
+            **(plain_values(self, "all_samples") if self.all_samples else {}),
             **({"later": True} if self.later and self.action == Action.WRITE else {}),
         }
 

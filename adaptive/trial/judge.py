@@ -40,6 +40,7 @@ from retuner.adaptive.trial.response_numbers import storable, swing, three
 from retuner.adaptive.trial.trial_settings import TrialSettings
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass
+from retuner.schedule.plain_values import plain_values
 
 NOT_ITSELF = "the response itself is not judged"
 MEAN_OF_NOISE = 0.8
@@ -110,7 +111,7 @@ class Judgement:
 
     def to_dict(self) -> dict[str, object]:
         """Plain values."""
-        return {"finding": self.finding.name.lower(), "reason": self.reason, "numbers": self.numbers.to_dict()}
+        return {"finding": self.finding.name.lower(), **plain_values(self, "reason numbers")}
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,6 +19,7 @@ from retuner.adaptive.trial.batch_responses import ClosedLoop, Upset
 from retuner.adaptive.trial.response_numbers import ResponseNumbers, shapes, swing
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
+from retuner.schedule.plain_values import plain_values
 
 MOST_MODELS = 16  # Models, the most likely ones, over which a promise is spread
 UPSETS = (Upset(setpoint=1.0), Upset(load_step=1.0), Upset(pulse=1.0))
@@ -127,17 +128,9 @@ class Prediction:
 
     def to_dict(self) -> dict[str, object]:
         """Plain values."""
-        return {
-            "setpoint": self.setpoint.to_dict(),
-            "load": self.load_step.to_dict(),
-            "setpoint_before": self.setpoint_before.to_dict(),
-            "load_before": self.load_before.to_dict(),
-            "models": self.models,
-            "decay_seen": self.decay_seen,
-            "ms": self.ms.to_list() if self.ms else None,
-            "wander": self.wander,
-            "moved": self.moved,
-        }
+        names = "setpoint load=load_step setpoint_before load_before models decay_seen"
+        spread = {"ms": self.ms.to_list() if self.ms else None}
+        return plain_values(self, names) | spread | plain_values(self, "wander moved")
 
     @classmethod
     def from_dict(cls, body: Mapping[str, Any]) -> "Prediction":

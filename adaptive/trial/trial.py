@@ -10,6 +10,7 @@ from retuner.adaptive.trial.prediction import Prediction
 from retuner.adaptive.trial.rollback import Rollback, RollbackNumbers, SetsThatRan
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
+from retuner.schedule.plain_values import plain_values
 
 MOST_EARLIER = 4  # sets that are remembered of those that ran in a region
 
@@ -66,14 +67,7 @@ class Trial:
             "phase": self.phase.name.lower(),
             "old": _gains_out(self.old),
             "new": _gains_out(self.new),
-            "promise": self.prediction.to_dict() if self.prediction else None,
-            "ran": self.ran,
-            "since_s": self.since_s,
-            "kept": self.kept,
-            "silent": self.silent,
-            "undos": self.rollbacks,
-            "edits": self.edits,
-            "until_s": self.until_s,
+            **plain_values(self, "promise=prediction ran since_s kept silent undos=rollbacks edits until_s"),
             "cause": self.cause.name.lower() if self.cause else None,
             "back": _back_out(self.back),
             "earlier": [_gains_out(gains) for gains in self.earlier],

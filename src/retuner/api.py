@@ -32,6 +32,7 @@ from retuner.drivers.historian.record_form import RecordForm
 from retuner.drivers.historian.time_stamps import Numbers, Times, seconds
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, field, replace
+from retuner.schedule.plain_values import plain_values
 from retuner.tuning import TuneResult
 
 if TYPE_CHECKING:
@@ -105,17 +106,12 @@ class Identification(display_hook.Shown):
 
     def to_dict(self) -> dict[str, object]:
         """Keys identifiable, model, std, gains, margins, aim, step_reason, margins_in_force, reason, loads, ..."""
-        found = self.settings.to_dict() if self.settings else None
-        in_force = self.margins_in_force.to_dict() if self.margins_in_force else None
+        found = self.settings.to_dict() if self.settings else {}
         return {
             **self.estimate.to_dict(),
-            "gains": found["gains"] if found else None,
-            "form": found["form"] if found else None,
-            "margins": found["margins"] if found else None,
+            **{name: found.get(name) for name in ("gains", "form", "margins")},
             "aim": self.aim.to_dict()["gains"] if self.aim else None,
-            "step_reason": self.step_reason,
-            "margins_in_force": in_force,
-            "foreseen": self.foreseen.to_dict() if self.foreseen is not None else None,
+            **plain_values(self, "step_reason margins_in_force foreseen"),
         }
 
 
@@ -267,9 +263,8 @@ class RegionIdentification:
 
     def to_dict(self) -> dict[str, object]:
         """Keys low, high (null at the ends), samples, and those of the identification; reason where there is none."""
-        ends = {name: x if np.isfinite(x) else None for name, x in (("low", self.low), ("high", self.high))}
         told = {"identifiable": False, "reason": NO_STRETCH} if self.found is None else self.found.to_dict()
-        return {**ends, "samples": self.samples, **told}
+        return plain_values(self, "low high samples") | told
 
 
 NO_STRETCH = f"no stretch of {FEWEST_SAMPLES} samples and more in which pv and co move"  # why a region has no model

@@ -21,6 +21,7 @@ from retuner.api import Record, followed_settings, window_of, within
 from retuner.drivers.historian.time_stamps import Numbers, Times
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, field, replace
+from retuner.schedule.plain_values import plain_values
 from retuner.tuning import TuneResult
 
 if TYPE_CHECKING:
@@ -99,16 +100,14 @@ class RecordDiagnosis(display_hook.Shown):
 
     def to_dict(self) -> dict[str, object]:
         """Keys cause, confidence, retune, evidence, reason, gains, form, margins, aim, rival, foreseen."""
-        found = self.settings.to_dict() if self.settings and self.diagnosis.retune else None
+        found = self.settings.to_dict() if self.settings and self.diagnosis.retune else {}
         rival = self.estimate.rival if self.estimate is not None else None
         return {
             **self.diagnosis.to_dict(),
             "aim": self.aim.to_dict()["gains"] if self.aim else None,
             "rival": rival.to_dict() if rival is not None else None,
-            "gains": found["gains"] if found else None,
-            "form": found["form"] if found else None,
-            "margins": found["margins"] if found else None,
-            "foreseen": self.foreseen.to_dict() if self.foreseen is not None else None,
+            **{name: found.get(name) for name in ("gains", "form", "margins")},
+            **plain_values(self, "foreseen"),
         }
 
 

@@ -1,6 +1,5 @@
 """`retuner.design_schedule`: a gain schedule from ordinary records of a loop, with what it rests on."""
 
-import math
 from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
@@ -28,6 +27,7 @@ from retuner.api import Record, window_of, within
 from retuner.drivers.historian.time_stamps import Numbers
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, field, replace
+from retuner.schedule.plain_values import plain_value, plain_values
 from retuner.schedule.regions import CAN, Axis, Regions
 from retuner.schedule.table import GainTable, Lookup
 
@@ -178,23 +178,16 @@ class ScheduleDesign(display_hook.Shown):
             "second": self.second or None,
             "reason": self.reason,
             "candidates": [
-                {
-                    "variable": e.variable,
-                    "ln_evidence": e.ln_evidence,
-                    "changes": e.changes,
-                    "ln_likelihood": e.log_likelihood,
-                    "chosen": e.variable == " and ".join(filter(None, (self.variable, self.second))),
-                }
+                plain_values(e, "variable ln_evidence changes ln_likelihood=log_likelihood")
+                | {"chosen": e.variable == " and ".join(filter(None, (self.variable, self.second)))}
                 for e in self.design.candidates
             ],
             "lookup": None if self.table is None else str(self.table.lookup),
-            "hysteresis": self.design.hysteresis,
-            "min_stay_s": self.design.min_stay_s,
+            **plain_values(self.design, "hysteresis min_stay_s"),
             "regions": [] if self.table is None else _regions_dict(self.table),
             "aim": None if self.aim is None else _regions_dict(self.aim),
-            "crossings": [crossing.to_dict() for crossing in self.design.crossings],
-            "at_limits": self.at_limits,
-            "next_experiment": self.next_experiment.to_dict(),
+            **plain_values(self.design, "crossings"),
+            **plain_values(self, "at_limits next_experiment"),
             "places": [self._place_dict(place) for place in self.places],
         }
 
@@ -202,22 +195,15 @@ class ScheduleDesign(display_hook.Shown):
         now = None if self.table is None else place.judged(self.gains_at(place.x, place.x2))
         names = ("slope", "theta", "tau", "tau2")
         told: dict[str, object] = {
-            "x": place.x,
-            **({} if place.x2 is None else {"x2": place.x2}),
-            "known": place.known,
-            "model": place.model.to_dict(),
+            **plain_values(place, "x" if place.x2 is None else "x x2"),
+            **plain_values(place, "known model"),
             "ln_std": dict(zip(names, place.ln_std, strict=False)),
-            "own": _gains_dict(place.own),
+            **plain_values(place, "own"),
         }
         if now is not None:
-            finite = {"ms": now.ms, "ms_worst": now.ms_worst, "j": now.j}
-            told["gains"] = _gains_dict(self.gains_at(place.x, place.x2))
-            told |= {name: value if math.isfinite(value) else None for name, value in finite.items()}
+            gains = self.gains_at(place.x, place.x2)
+            told |= {"gains": plain_value(gains), **plain_values(now, "ms ms_worst j")}
         return told
-
-
-def _gains_dict(gains: PidGains) -> dict[str, float]:
-    return {"kp": gains.kp, "ki": gains.ki, "kd": gains.kd}
 
 
 def _second_dict(regions: Regions, i: int) -> dict[str, float]:
@@ -237,7 +223,7 @@ def _regions_dict(table: GainTable) -> list[dict[str, object]]:
             "high": regions.span(i)[1],
             "centre": regions.centre(i),
             **_second_dict(regions, i),
-            **_gains_dict(g),
+            **plain_value(g),
         }
         for i, (name, g) in enumerate(zip(regions.names, table.gains, strict=True))
     ]

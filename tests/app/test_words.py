@@ -57,10 +57,14 @@ def docstrings(every: tuple[ast.AST, ...]) -> set[int]:
 
 
 def texts(source: str) -> Iterator[tuple[int, str]]:
-    """Line and text of everything that may be shown, an X for each value in it; keys have no space and are left out."""
+    """Line and text of everything that may be shown, an X for each value in it; keys are left out: they have no space,
+    or are the names that `plain_values` takes.
+    """
     every = nodes(source)
     apart = docstrings(every)
     for node in every:
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "plain_values":
+            apart |= {id(one) for one in node.args}
         if isinstance(node, ast.JoinedStr):
             apart |= {id(inner) for inner in node.values if isinstance(inner, ast.Constant)}
             apart |= {id(inner.format_spec) for inner in node.values if isinstance(inner, ast.FormattedValue)}

@@ -38,6 +38,7 @@ from retuner.drivers.historian.record_form import RecordForm
 from retuner.drivers.recorded.recording import RecordingError
 from retuner.report.what_if import of_diagnosis
 from retuner.schedule.late_dataclass import dataclass, field, replace
+from retuner.schedule.plain_values import plain_values
 
 SCHEMA = 6  # version of a row's keys
 OWN_SWING = frozenset({Cause.AGGRESSIVE, Cause.SLOW_INTEGRATING})  # causes by which a loop oscillates of itself
@@ -265,15 +266,12 @@ def _told(tag: str, seen: _LoopRecords, screen: LoopScreen, verdict: LoopVerdict
         "end": _moment(begin_s, seen.end_s),
         "cause": str(verdict.cause),
         "confidence": verdict.confidence if named or verdict.confidence > HALF else None,
-        "action": str(verdict.action),
-        "reason": verdict.reason,
+        **plain_values(verdict, "action reason"),
         "since": _moment(begin_s, since) if since is not None else None,
         "since_s": since,
-        "seen": verdict.seen,
-        "looked_at": verdict.looked_at,
+        **plain_values(verdict, "seen looked_at"),
         "avoidable": avoidable,
-        "rank": verdict.rank,
-        "basis": str(verdict.basis),
+        **plain_values(verdict, "rank basis"),
         "loss_per_day": avoidable * screen.iae_per_day if avoidable is not None and screen.setpoint else None,
         "screen": screen.to_dict(),
         "assumed": list(seen.assumed),
@@ -331,11 +329,7 @@ def _process(cure: RecordDiagnosis | None, then: Foreseen | None) -> Row | None:
 def _stretch(window: Window, verdict: StretchVerdict, found: RecordDiagnosis) -> Row:
     evidence = {k: v for k, v in found.diagnosis.evidence.items() if math.isfinite(v)}
     return {
-        "begin_s": verdict.begin_s,
-        "end_s": verdict.end_s,
-        "cause": str(verdict.cause),
-        "confidence": verdict.confidence,
-        "reason": verdict.reason,
+        **plain_values(verdict, "begin_s end_s cause confidence reason"),
         "evidence": evidence,
         "trend": drawn(window, DRAWN_OF_A_STRETCH),
     }

@@ -21,6 +21,7 @@ from retuner.gain_export.schedule_into import schedule_into
 from retuner.ledger.lock import WriterLock
 from retuner.products import product
 from retuner.schedule.document import from_toml
+from retuner.schedule.plain_values import plain_values
 from retuner.schedule.table import GainTable
 from retuner.session.order_queue import SHORT, OrderState, shown, superseded
 from retuner.session.orders import Order, OrderKind, put_order
@@ -321,12 +322,8 @@ def _line(place: LoopPlace, proposal: Proposal, able: Sequence[Proposal]) -> str
 
 def _listed(place: LoopPlace, proposal: Proposal) -> dict[str, object]:
     return {
-        "hash": proposal.digest,
-        "decision": proposal.number,
-        "region": proposal.region,
-        "t_s": proposal.t_s,
+        **plain_values(proposal, "hash=digest decision=number region t_s"),
         "expires_s": proposal.t_s + place.expires_after_s,
-        "gains_before": gains_dict(proposal.before),
-        "gains_after": gains_dict(proposal.after),
+        **plain_values(proposal, "gains_before=before gains_after=after"),
         "superseded_by": place.shown.successor(proposal) or None,
     }

@@ -28,6 +28,7 @@ from retuner.ledger import LedgerReader, Row
 from retuner.live_view.what_next import what_next
 from retuner.products import product
 from retuner.report.ledger_words import ABOUT_A_TRIAL, LedgerLine, no_formula, told
+from retuner.schedule.plain_values import plain_values
 from retuner.session.outputs import CONFIG, ledger_path, rows_by_loop
 
 SHORTEST_HEAD = 12  # hexadecimal digits; 48 bits cannot be met by chance
@@ -264,12 +265,5 @@ def _csv(rows: list[Row]) -> str:
 
 
 def _json_line(row: Row) -> str:
-    document = {
-        "seq": row.seq,
-        "clock_s": row.clock_s,
-        "kind": row.kind,
-        "body": row.body,
-        "previous": row.previous,
-        "hash": row.hash,
-    }
+    document = plain_values(row, "seq clock_s kind body previous hash")
     return json.dumps(document, allow_nan=False) + "\n"

@@ -21,6 +21,7 @@ from retuner.api import Identification, identify_record
 from retuner.errors import UserError
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, field
+from retuner.schedule.plain_values import plain_values
 from retuner.tuning import TuneResult, tune, tuning_lines
 
 ULTIMATE = "ultimate"  # the experiment that exists as a record only: a swing under proportional control
@@ -161,16 +162,7 @@ def _read_setpoint(found: ExperimentFindings, window: Window, question: Experime
     except ValueError as refusal:
         found.refused["two-step"] = str(refusal)
         return
-    found.measured["overshoot"] = {
-        "dy_s": seen.dy_s,
-        "dy_p": seen.dy_p,
-        "dy_u": seen.dy_u,
-        "t_p": seen.t_p_s,
-        "dy_inf": seen.dy_inf,
-        "overshoot": seen.d,
-        "b": seen.b,
-        "a": seen.a,
-    }
+    found.measured["overshoot"] = plain_values(seen, "dy_s dy_p dy_u t_p=t_p_s dy_inf overshoot=d b a")
     if question.kc is None:
         found.refused["two-step"] = "the proportional gain of the experiment is not known; give --kc0"
         return

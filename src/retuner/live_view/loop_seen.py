@@ -11,13 +11,14 @@ from retuner.adaptive.region_model.update import predicted
 from retuner.adaptive.signals.recogniser import RecogniserPhase, RecogniserState
 from retuner.adaptive.signals.response import Peak
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
-from retuner.adaptive.supervision.decision import Mode, gains_dict
+from retuner.adaptive.supervision.decision import Mode
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.decision_page.decision_words import settings_text
 from retuner.drivers.device import RunningSet
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass
+from retuner.schedule.plain_values import plain_values
 
 
 class RunningController(Protocol):
@@ -50,15 +51,11 @@ class RegionSeen:
         return {
             "name": self.name,
             "settings": settings_text(self.gains),
-            "gains": gains_dict(self.gains),
+            **plain_values(self, "gains"),
             "commissioned": settings_text(self.commissioned),
-            "ms": self.ms if self.ms is not None and math.isfinite(self.ms) else None,
+            **plain_values(self, "ms"),
             "unstable": self.ms is not None and math.isinf(self.ms),
-            "records": self.records,
-            "learned_s": self.learned_s,
-            "mode": self.mode,
-            "trial": self.trial,
-            "undos": self.rollbacks,
+            **plain_values(self, "records learned_s mode trial undos=rollbacks"),
         }
 
 
@@ -108,13 +105,7 @@ class LoopSeen:
             "running": settings_text(self.running, self.loop) if self.running else None,
             "recogniser": self.recogniser,
             "peaks": [[peak.t_s, peak.e] for peak in self.peaks],
-            "band": self.band,
-            "waits_for": self.waits_for,
-            "scheduled": list(self.scheduled),
-            "manual": self.manual,
-            "needs": self.needs_a_person,
-            "promised": self.promised,
-            "regions": [one.to_dict() for one in self.regions],
+            **plain_values(self, "band waits_for scheduled manual needs=needs_a_person promised regions"),
         }
 
 

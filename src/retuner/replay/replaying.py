@@ -33,6 +33,7 @@ from retuner.ledger.chain import canonical, without_place
 from retuner.ledger.trend import COLUMNS, COLUMNS_2, NO_PYARROW
 from retuner.report.scores import Columns
 from retuner.schedule.late_dataclass import dataclass, field
+from retuner.schedule.plain_values import plain_values
 from retuner.session.assembly import make_retuner, retuner_settings, schedule_inputs
 from retuner.session.ledger_rows import feed
 from retuner.session.memory_file import started_with
@@ -57,13 +58,7 @@ class Difference:
 
     def to_dict(self) -> dict[str, object]:
         """Plain values."""
-        return {
-            "decision": self.decision,
-            "row": self.row,
-            "key": self.key,
-            "recorded": self.recorded,
-            "replayed": self.replayed,
-        }
+        return plain_values(self, "decision row key recorded replayed")
 
 
 @dataclass(slots=True)

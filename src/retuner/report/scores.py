@@ -16,9 +16,9 @@ from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray
-from retuner.adaptive.supervision.decision import gains_dict
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass
+from retuner.schedule.plain_values import plain_values
 from retuner.schedule.table import GainTable
 
 NOISE_BANDS, CO_FLOOR = 8.0, 10.0
@@ -54,21 +54,11 @@ class RegionScore:
     def to_dict(self) -> dict[str, object]:
         """Plain values; an infinite Ms (unstable) is null with stable_... false."""
         return {
-            "region": self.region,
-            "before": gains_dict(self.before),
-            "after": gains_dict(self.after),
-            "changes": self.changes,
-            "ms_before": _finite(self.ms_before),
-            "ms_after": _finite(self.ms_after),
+            **plain_values(self, "region before after changes ms_before ms_after"),
             "stable_before": _stable(self.ms_before),
             "stable_after": _stable(self.ms_after),
-            "iae": self.iae,
-            "iae_fixed": self.iae_fixed,
+            **plain_values(self, "iae iae_fixed"),
         }
-
-
-def _finite(value: float | None) -> float | None:
-    return value if value is not None and math.isfinite(value) else None
 
 
 def _stable(value: float | None) -> bool | None:
