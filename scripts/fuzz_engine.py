@@ -223,12 +223,13 @@ def call_mix(random: Random) -> list[Any]:
 
 def call_any_load(random: Random) -> list[Any]:
     """Proper arguments of any_load."""
-    order, rest, deads, gains = random.randint(1, 32), random.randint(0, 8), random.randint(0, 4), random.randint(1, 20)
+    order, deads, gains = random.randint(1, 31), random.randint(0, 4), random.randint(1, 20)
     n = 2 * order + random.randint(1, 60)
     late = array("d", [random.choice((0.0, 0.5, 3.0, 70.0, random.uniform(0, 90))) for _ in range(deads)])
     spans = array("d", (float(random.randint(0, gains)) for _ in range(2 * deads)))
-    rows = [numbers(random, n), numbers(random, n), numbers(random, rest * (n - order))]
-    return [*rows, late, numbers(random, gains), spans, order, 1e-3, zeros(deads * gains)]
+    lags = array("d", (random.choice((0.5, 0.9, 1.0, 1.1)), 0.1, random.choice((0.0, 0.7)), 1e-3))
+    rows = [numbers(random, n), numbers(random, n), late, numbers(random, gains)]
+    return [*rows, spans, lags, order, zeros(deads * gains)]
 
 
 def stepped(random: Random) -> list[Any]:

@@ -18,7 +18,16 @@ import math
 
 import numpy as np
 
-from retuner.adaptive.explanations.process_grid import DEAD_TIMES, EVERY_LAG, GAINS, BoolArray, second_lags, units
+from retuner.adaptive.explanations.process_grid import (
+    DEAD_TIMES,
+    EVERY_LAG,
+    GAINS,
+    BoolArray,
+    ProcessShape,
+    second_lags,
+    shapes,
+    units,
+)
 from retuner.adaptive.explanations.wandering_load import Prepared, pole_of, reduced, responses
 from retuner.adaptive.fit.engine import compiled
 from retuner.adaptive.signals.sample import FloatArray
@@ -35,32 +44,31 @@ def log_likelihood_of_answers(record: Prepared, direction: int, gain_unit: float
     processes that are asked for, shape (shapes, dead times, gains), which the answer has; others are -inf.
     """
     gains, rows = direction * GAINS * units(EVERY_LAG)[:, :, 0] / gain_unit, len(record.pv) - ORDER
-    time, dead = np.arange(float(max(rows, 0))), np.array(DEAD_TIMES)
-    found, row = np.where(asked, 0.0, -math.inf), 0  # a window shorter than the past says nothing
-    for lag in EVERY_LAG:
-        away = (pole_of(lag),) if lag < 0 else ()
-        pv = reduced(record.pv, away)
-        for x, second in zip(responses(record.co, lag), second_lags(lag), strict=True):
-            if rows > 2 * ORDER and (late := np.flatnonzero(asked[row].any(axis=1))).size:
-                falls = [pole_of(one) ** time for one in ((second,) if away else (lag, second)) if 0 < one < math.inf]
-                rest = np.linalg.qr(np.array([np.ones(rows), *falls, *([time] if math.isinf(lag) else [])]).T)[0].T
-                left = _left(pv, x, rest, dead[late], gains[row], asked[row, late], rows * record.resolution**2)
-                found[row, late] = -0.5 * (rows - ORDER - len(rest)) * np.log(left)
-            row += 1
+    first, last = np.argmax(asked, axis=2), len(GAINS) - np.argmax(asked[:, :, ::-1], axis=2)
+    spans, dead = np.stack([first, last], axis=2).astype(np.float64), np.array(DEAD_TIMES)
+    found = np.where(asked, 0.0, -math.inf)
+    for row, shape in enumerate(shapes(EVERY_LAG) if rows > 2 * ORDER else ()):  # a shorter window says nothing
+        if (late := np.flatnonzero(asked[row].any(axis=1))).size:
+            left = _left(record, shape, dead[late], gains[row], spans[row, late], rows * record.resolution**2)
+            freedom = rows - ORDER - 1 - (shape.lag > 0) - (shape.second > 0)
+            found[row, late] = -0.5 * freedom * np.log(left)
     return np.where(asked, found, -math.inf)
 
 
 def _left(
-    pv: FloatArray, x: FloatArray, rest: FloatArray, dead_times: FloatArray, gains: FloatArray, asked: BoolArray,
-    noise: float,
-) -> FloatArray:  # fmt: skip
+    record: Prepared, shape: ProcessShape, dead_times: FloatArray, gains: FloatArray, spans: FloatArray, noise: float
+) -> FloatArray:
     """What the autoregression leaves of pv - K x, its sum of squares, at every dead time and gain that is asked.
 
-    rest : orthonormal, what it may have besides, shape (number, n - ORDER). noise : sum of squares pv cannot show.
+    spans : gains from and to, of each dead time. noise : sum of squares that pv cannot show.
     """
+    lags = shape.lag, shape.second
     if (engine := compiled()) is not None:
-        spans = np.stack([np.argmax(asked, axis=1), len(gains) - np.argmax(asked[:, ::-1], axis=1)], axis=1)
-        return np.asarray(engine.any_load(pv, x, rest, dead_times, gains, spans.astype(np.float64), ORDER, noise))
+        return np.asarray(engine.any_load(record.pv, record.co, lags, dead_times, gains, spans, ORDER, noise))
+    pv = reduced(record.pv, (pole_of(shape.lag),) if shape.lag < 0 else ())
+    x, time = responses(record.co, shape.lag)[second_lags(shape.lag).index(shape.second)], np.arange(len(pv) - ORDER)
+    falls = [time if math.isinf(lag) else pole_of(lag) ** time for lag in lags if lag > 0]
+    rest = np.linalg.qr(np.stack([np.ones(len(time)), *falls], axis=1))[0].T
     samples = np.arange(-1.0, len(x))
     late = np.interp(samples[1:] - dead_times[:, None], samples, np.concatenate([[0.0], x]))
     own, both, by_x = (_products(a, b, rest) for a, b in ((pv[None], pv[None]), (pv[None], late), (late, late)))

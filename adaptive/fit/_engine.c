@@ -31,7 +31,7 @@
 #include "engine_c/valves.h"
 #include "engine_c/any_load.h"
 
-#define VERSION "12"
+#define VERSION "13"
 
 /* ---------------------------------------------------------------- the door: buffers of numbers, looked at before use */
 
@@ -537,27 +537,26 @@ static PyObject *py_mix(View *v, Work *w, PyObject *const *from) {
     return Py_NewRef(Py_None);
 }
 
-/* any_load(pv, x, rest, deads, gains, spans, order, noise, left): see AnyLoad. */
+/* any_load(pv, co, deads, gains, spans, numbers, order, left): see AnyLoad; numbers are pole, rise, second pole and noise. */
 static PyObject *py_any_load(View *v, Work *w, PyObject *const *from) {
     (void)w;
-    static const char *const NAMES[] = {"pv", "x", "rest", "deads", "gains", "spans"};
+    static const char *const NAMES[] = {"pv", "co", "deads", "gains", "spans", "numbers"};
     Py_ssize_t order = PyLong_AsSsize_t(from[6]);
-    double noise = PyFloat_AsDouble(from[7]);
     if (PyErr_Occurred())
         return NULL;
     for (int i = 0; i < 6; i++)
         if (finite_view(from[i], &v[i], NAMES[i], 0))
             return NULL;
-    Py_ssize_t n = v[0].n, many = n - order, rest = many > 0 ? v[2].n / many : 0;
-    if (order < 1 || order > MOST_ORDER || many <= order || n > 10000000 || rest > MOST_REST || v[4].n < 1 ||
-        !(noise >= 0 && isfinite(noise)))
-        return refuse("any_load: too few samples, or order, columns, gains or noise are outside their range"), NULL;
-    if (sized(&v[1], n, "x") || sized(&v[2], rest * many, "rest") ||
-        within(&v[3], 0, 100000, "deads: 0 to 100000 samples") || sized(&v[5], 2 * v[3].n, "spans") ||
-        within(&v[5], 0, (double)v[4].n, "spans: gains of the grid") || view(from[8], &v[6], "left", 1) ||
-        sized(&v[6], v[3].n * v[4].n, "left"))
+    Py_ssize_t n = v[0].n, deads = v[2].n, gains = v[3].n;
+    if (order < 1 || order > MOST_ORDER || n <= 2 * order || n > 10000000 || gains < 1)
+        return refuse("any_load: too few samples or gains, or the order is outside its range"), NULL;
+    if (sized(&v[1], n, "co") || within(&v[2], 0, 100000, "deads: 0 to 100000 samples") || sized(&v[4], 2 * deads, "spans") ||
+        within(&v[4], 0, (double)gains, "spans: gains of the grid") || sized(&v[5], 4, "numbers") ||
+        within(&v[5], 0, 1e300, "numbers: none below 0") || view(from[7], &v[6], "left", 1) ||
+        sized(&v[6], deads * gains, "left"))
         return NULL;
-    AnyLoad of = {v[0].x, v[1].x, v[2].x, v[3].x, v[4].x, v[5].x, n, rest, v[3].n, v[4].n, (int)order, noise, v[6].x};
+    AnyLoad of = {v[0].x, v[1].x, v[2].x, v[3].x, v[4].x, n, deads, gains, v[5].x[0], v[5].x[1], v[5].x[2], v[5].x[3], v[6].x,
+                  (int)order};
     int failed;
     Py_BEGIN_ALLOW_THREADS
     failed = any_load(&of);
@@ -670,7 +669,7 @@ static PyObject *py_held(View *v, Work *w, PyObject *const *from) {
 /* Every function with how many arguments it has. */
 #define FUNCTIONS(M)                                                                                                  \
     M(refine, 13) M(costs, 6) M(project, 11) M(jacobian, 6) M(gains, 8) M(colour, 3) M(search, 11) M(position, 3)     \
-    M(scan, 14) M(valve_costs, 7) M(slip_costs, 8) M(screen, 9) M(walk, 12) M(mix, 10) M(any_load, 9) M(steps, 6)          \
+    M(scan, 14) M(valve_costs, 7) M(slip_costs, 8) M(screen, 9) M(walk, 12) M(mix, 10) M(any_load, 8) M(steps, 6)          \
     M(move_steps, 7) M(closed, 8) M(held, 2)
 #define DOOR(name, arguments)                                                                                         \
     static PyObject *door_##name(PyObject *self, PyObject *args) {                                                    \

@@ -131,13 +131,12 @@ def mix(
 ) -> None: ...
 def any_load(
     pv: Numbers,
-    x: Numbers,
-    rest: Numbers,
+    co: Numbers,
     deads: Numbers,
     gains: Numbers,
     spans: Numbers,
+    numbers: Numbers,
     order: int,
-    noise: float,
     left: Numbers,
     /,
 ) -> None: ...

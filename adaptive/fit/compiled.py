@@ -222,13 +222,18 @@ def walks_mixed(
 
 
 def any_load(
-    pv: FloatArray, x: FloatArray, rest: FloatArray, dead_times: FloatArray, gains: FloatArray, spans: FloatArray,
-    order: int, noise: float,
+    pv: FloatArray, co: FloatArray, lags: tuple[float, float], dead_times: FloatArray, gains: FloatArray,
+    spans: FloatArray, order: int, noise: float,
 ) -> FloatArray:  # fmt: skip
-    """What an autoregression leaves of pv - K x (explanations/any_load.py), shape (dead times, gains)."""
+    """What an autoregression leaves of pv - K x (explanations/any_load.py), shape (dead times, gains).
+
+    lags : of the process, the second 0 for none. spans : the first gain that is asked for and the one after the last.
+    """
     left = np.empty((len(dead_times), len(gains)))
-    pv, x, rest, gains = (np.ascontiguousarray(one) for one in (pv, x, rest, gains))
-    _engine.any_load(pv, x, rest, dead_times, gains, spans, order, noise, left)
+    pole, second = (math.exp(-1.0 / lag) if lag else 0.0 for lag in lags)
+    numbers = np.array((pole, 1.0 if math.isinf(lags[0]) else abs(1.0 - pole), second, noise))
+    pv, co = (np.ascontiguousarray(one) for one in (pv, co))
+    _engine.any_load(pv, co, dead_times, gains, spans, numbers, order, left)
     return left
 
 
