@@ -235,7 +235,8 @@ def call_any_load(random: Random) -> list[Any]:
 def stepped(random: Random) -> list[Any]:
     """pv, a response, what is there beside the steps, and a share."""
     n, rest = random.randint(2, 50), random.randint(0, 3)
-    return [numbers(random, n), numbers(random, n), numbers(random, n * rest), 10 ** random.uniform(-9, 0)]
+    shares = array("d", (10 ** random.uniform(-9, 0), random.random(), random.choice((-1.0, 0.0, 0.5, 1.0))))
+    return [numbers(random, n), numbers(random, n), numbers(random, n * rest), shares]
 
 
 def call_steps(random: Random) -> list[Any]:

@@ -564,55 +564,55 @@ static PyObject *py_any_load(View *v, Work *w, PyObject *const *from) {
     return failed ? PyErr_NoMemory() : Py_NewRef(Py_None);
 }
 
-/* pv, response and rest, from the first three arguments, and the share from the fourth. */
+/* pv, response and rest, from the first three arguments, and numbers from the fourth: the share, lacks and stays. */
 static int read_stepped(Stepped *s, View *v, PyObject *const *from) {
-    static const char *const NAMES[] = {"pv", "response", "rest"};
-    s->unique = PyFloat_AsDouble(from[3]);
-    if (PyErr_Occurred())
-        return -1;
-    for (int i = 0; i < 3; i++)
+    static const char *const NAMES[] = {"pv", "response", "rest", "numbers"};
+    for (int i = 0; i < 4; i++)
         if (finite_view(from[i], &v[i], NAMES[i], 0))
             return -1;
+    if (sized(&v[3], 3, "numbers"))
+        return -1;
+    s->unique = v[3].x[0], s->lacks = v[3].x[1], s->stays = v[3].x[2];
     s->pv = v[0].x, s->response = v[1].x, s->rest = v[2].x, s->n = v[0].n;
     s->rest_count = s->n ? v[2].n / s->n : 0;
-    if (s->n < 2 || s->rest_count > 16 || !(s->unique >= 0))
-        return refuse("steps: two samples, at most 16 columns beside the steps, and a share from 0 are needed");
+    if (s->n < 2 || s->rest_count > 16 || !(s->unique >= 0 && s->stays <= 1))
+        return refuse("steps: two samples, at most 16 columns beside the steps, a share from 0 and a pole are needed");
     return sized(&v[1], s->n, "response") || sized(&v[2], s->rest_count * s->n, "rest") ? -1 : 0;
 }
 
 enum { MOST_STEPS = 256 };
 
-/* steps(pv, response, rest, unique, rows, left) -> how many: up to as many as rows has room for; left has one more. */
+/* steps(pv, response, rest, numbers, rows, left) -> how many: up to as many as rows has room for; left has one more. */
 static PyObject *py_steps(View *v, Work *w, PyObject *const *from) {
     (void)w;
     Stepped s;
-    if (read_stepped(&s, v, from) || view(from[4], &v[3], "rows", 1) || view(from[5], &v[4], "left", 1) ||
-        sized(&v[4], v[3].n + 1, "left"))
+    if (read_stepped(&s, v, from) || view(from[4], &v[4], "rows", 1) || view(from[5], &v[5], "left", 1) ||
+        sized(&v[5], v[4].n + 1, "left"))
         return NULL;
-    if (v[3].n > MOST_STEPS)
+    if (v[4].n > MOST_STEPS)
         return refuse("steps: too many"), NULL;
     Py_ssize_t count;
     Py_BEGIN_ALLOW_THREADS
-    count = choose_steps(&s, v[3].n, v[3].x, v[4].x);
+    count = choose_steps(&s, v[4].n, v[4].x, v[5].x);
     Py_END_ALLOW_THREADS
     return count < 0 ? PyErr_NoMemory() : PyLong_FromSsize_t(count);
 }
 
-/* move_steps(pv, response, rest, unique, rows, reach, passes) -> what is left; rows are moved in place. */
+/* move_steps(pv, response, rest, numbers, rows, reach, passes) -> what is left; rows are moved in place. */
 static PyObject *py_move_steps(View *v, Work *w, PyObject *const *from) {
     (void)w;
     Stepped s;
     Py_ssize_t reach = PyLong_AsSsize_t(from[5]), passes = PyLong_AsSsize_t(from[6]);
-    if (PyErr_Occurred() || read_stepped(&s, v, from) || view(from[4], &v[3], "rows", 1))
+    if (PyErr_Occurred() || read_stepped(&s, v, from) || view(from[4], &v[4], "rows", 1))
         return NULL;
-    if (v[3].n > MOST_STEPS || reach < 0 || reach > 10000000 || passes < 0 || passes > 100)
+    if (v[4].n > MOST_STEPS || reach < 0 || reach > 10000000 || passes < 0 || passes > 100)
         return refuse("move_steps: steps, reach or passes are outside their range"), NULL;
-    for (Py_ssize_t i = 0; i < v[3].n; i++)
-        if (!(v[3].x[i] >= 0 && v[3].x[i] <= (double)(s.n - 2) && v[3].x[i] == floor(v[3].x[i])))
+    for (Py_ssize_t i = 0; i < v[4].n; i++)
+        if (!(v[4].x[i] >= 0 && v[4].x[i] <= (double)(s.n - 2) && v[4].x[i] == floor(v[4].x[i])))
             return refuse("rows: columns of the record are needed"), NULL;
     double left;
     Py_BEGIN_ALLOW_THREADS
-    left = move_steps(&s, v[3].x, v[3].n, reach, (int)passes);
+    left = move_steps(&s, v[4].x, v[4].n, reach, (int)passes);
     Py_END_ALLOW_THREADS
     return left < 0 ? PyErr_NoMemory() : PyFloat_FromDouble(left);
 }

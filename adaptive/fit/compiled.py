@@ -238,25 +238,26 @@ def any_load(
 
 
 def steps_chosen(
-    pv: FloatArray, response: FloatArray, rest: FloatArray, unique: float, most: int
+    pv: FloatArray, response: FloatArray, rest: FloatArray, unique: float, most: int, falls: tuple[float, float]
 ) -> tuple[list[int], FloatArray]:
     """Steps of pv through one response, each where it takes away most: their columns, and sums of squares before and
-    after each. rest : orthonormal columns of what is there without any, shape (n, number).
+    after each. rest : orthonormal columns of what is there without any, shape (n, number). falls : lacks and stays of
+    a response 1 - lacks stays^rows; any other one stays -1.
     """
-    rows, left = np.empty(most), np.empty(most + 1)
+    rows, left, numbers = np.empty(most), np.empty(most + 1), np.array((unique, *falls))
     pv, response, columns = (np.ascontiguousarray(x) for x in (pv, response, rest.T))
-    count = _engine.steps(pv, response, columns, unique, rows, left)
+    count = _engine.steps(pv, response, columns, numbers, rows, left)
     return rows[:count].astype(int).tolist(), left[: count + 1]
 
 
 def steps_moved(
     pv: FloatArray, response: FloatArray, rest: FloatArray, unique: float, chosen: Sequence[int], reach: int,
-    passes: int,
+    passes: int, falls: tuple[float, float],
 ) -> tuple[list[int], float]:  # fmt: skip
     """Every step at its best column within reach, so many times; and the sum of squares that is left."""
-    rows = np.array(chosen, dtype=np.float64)
+    rows, numbers = np.array(chosen, dtype=np.float64), np.array((unique, *falls))
     pv, response, columns = (np.ascontiguousarray(x) for x in (pv, response, rest.T))
-    left = _engine.move_steps(pv, response, columns, unique, rows, reach, passes)
+    left = _engine.move_steps(pv, response, columns, numbers, rows, reach, passes)
     return rows.astype(int).tolist(), left
 
 

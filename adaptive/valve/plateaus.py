@@ -11,6 +11,7 @@ twice Schwarz's price, because what is left is coloured. sigma is the noise by t
 differences, and no finer than 0.4 % of pv's range.
 """
 
+import math
 from itertools import pairwise
 
 import numpy as np
@@ -125,11 +126,13 @@ def _with_lag(pv: FloatArray, lag: float, sigma: float) -> tuple[float, list[int
     """Criterion and columns of the best description with one lag."""
     n, responses = len(pv), _Responses(len(pv), lag)
     rest = _rest(n, lag)
-    rows, left = steps_chosen(pv, responses.to_jump, rest, LEAST_NEW_SHARE, MOST_JUMPS)
+    falls = (1.0, math.exp(-1.0 / lag)) if lag else (0.0, 0.0)
+    rows, left = steps_chosen(pv, responses.to_jump, rest, LEAST_NEW_SHARE, MOST_JUMPS, falls)
     prices = [price(rss, n, sigma, jumps) for jumps, rss in enumerate(left)]
     chosen = rows[: prices.index(min(prices))]
     if (engine := compiled()) is not None:
-        chosen, rss = engine.steps_moved(pv, responses.to_jump, rest, LEAST_NEW_SHARE, chosen, MOVED_ROWS, MOVED_PASSES)
+        asked = pv, responses.to_jump, rest, LEAST_NEW_SHARE, chosen, MOVED_ROWS, MOVED_PASSES, falls
+        chosen, rss = engine.steps_moved(*asked)
     else:
         for _ in range(MOVED_PASSES):
             chosen = _moved(pv, responses, rest, chosen)
@@ -138,15 +141,17 @@ def _with_lag(pv: FloatArray, lag: float, sigma: float) -> tuple[float, list[int
 
 
 def steps_chosen(
-    pv: FloatArray, rise: FloatArray, basis: FloatArray, unique: float, most: int
-) -> tuple[list[int], list[float]]:
+    pv: FloatArray, rise: FloatArray, basis: FloatArray, unique: float, most: int,
+    falls: tuple[float, float] = (0.0, -1.0),
+) -> tuple[list[int], list[float]]:  # fmt: skip
     """Columns of up to so many steps, each where it takes away most, and sums of squares before and after each.
 
     rise : response to a step. basis : orthonormal columns of what is there without any. unique : a column of which less
-    than this share is not explained by the others is no further step.
+    than this share is not explained by the others is no further step. falls : lacks and stays of a response that is
+    1 - lacks stays^rows, for the compiled engine; any other one stays -1.
     """
     if (engine := compiled()) is not None:
-        found, taken_away = engine.steps_chosen(pv, rise, basis, unique, most)
+        found, taken_away = engine.steps_chosen(pv, rise, basis, unique, most, falls)
         return found, taken_away.tolist()
     rows = np.arange(len(pv))
     since = rows[:, None] - rows[None, 1:]

@@ -229,9 +229,10 @@ def _greedy(pv: FloatArray, lag: float, second: float) -> tuple[float, list[int]
     """The criterion, and rows of the steps that pay. lag : in rows. second : share of it that is a second lag."""
     n = len(pv)
     dynamics, middle = Dynamics(second * lag, 1 / lag), np.arange(0.5, n, dtype=np.float64)
-    rise = dynamics.step(middle)
+    rise = dynamics.step(middle) / lag  # of a gain of one
     rest, _ = np.linalg.qr(np.stack([np.ones(n), rise, dynamics.impulse(middle)][: 3 if second else 2], axis=1))
-    found, left = steps_chosen(pv, rise, rest, UNIQUE, min(MOST_SLIPS, n // ROWS_PER_STEP))
+    falls = (0.0, -1.0) if second else (math.exp(-0.5 / lag), math.exp(-1.0 / lag))
+    found, left = steps_chosen(pv, rise, rest, UNIQUE, min(MOST_SLIPS, n // ROWS_PER_STEP), falls)
     prices = [n * math.log(max(rss, 1e-300) / n) + LOAD_COST * i * math.log(n) for i, rss in enumerate(left)]
     least = min(prices)
     return least, found[: prices.index(least)]

@@ -6,18 +6,29 @@
 
 #include "misfit.h"
 
-/* Column j is a step at row j + 1: its response from there on. rest : (rest_count, n), orthonormal, of what is there
- * without any step. A step is a further one where more than `unique` of its column is not explained by the others. */
+/* Column j is a step at row j + 1: its response from there on. lacks, stays : a response through one lag is 1 - lacks stays^rows;
+ * stays is negative of any other. rest : (rest_count, n), orthonormal, of what is there without any step. A step is a further
+ * one where more than `unique` of its column is not explained by the others. */
 typedef struct {
     const double *pv, *response, *rest;
     Py_ssize_t n, rest_count;
-    double unique;
+    double unique, lacks, stays;
 } Stepped;
 
-/* Products of a signal with every column. */
+/* Products of a signal with every column: through one lag each follows from the next. */
 static void against(const Stepped *s, const double *x, double *out) {
-    for (Py_ssize_t j = 0; j + 1 < s->n; j++)
-        out[j] = dot(x + j + 1, s->response, s->n - 1 - j);
+    double sum = 0, lacking = 0;
+    for (Py_ssize_t j = s->n - 2; j >= 0; j--) {
+        sum += x[j + 1], lacking = x[j + 1] + s->stays * lacking;
+        out[j] = s->stays < 0 ? dot(x + j + 1, s->response, s->n - 1 - j) : sum - s->lacks * lacking;
+    }
+}
+
+/* Squares of every column. */
+static void lay_squares(const Stepped *s, double *out) {
+    double sum = 0;
+    for (Py_ssize_t k = 0; k + 1 < s->n; k++)
+        sum += s->response[k] * s->response[k], out[s->n - 2 - k] = sum;
 }
 
 static void put_column(const Stepped *s, Py_ssize_t j, double *out) {
@@ -39,15 +50,12 @@ static Py_ssize_t choose_steps(const Stepped *s, Py_ssize_t most, double *rows, 
     if (!basis)
         return -1;
     double *remainder = basis + (s->rest_count + most) * n, *along = remainder + n, *whole = along + n;
-    double *unexplained = whole + n, *told = unexplained + n, sum = 0;
+    double *unexplained = whole + n, *told = unexplained + n;
     memcpy(basis, s->rest, (size_t)(s->rest_count * n) * sizeof *basis);
     memcpy(remainder, s->pv, (size_t)n * sizeof *remainder);
     free_of(basis, s->rest_count, remainder, n);
     against(s, remainder, along);
-    for (Py_ssize_t k = 0; k + 1 < n; k++) {
-        sum += s->response[k] * s->response[k];
-        whole[n - 2 - k] = unexplained[n - 2 - k] = sum;
-    }
+    lay_squares(s, whole), lay_squares(s, unexplained);
     for (Py_ssize_t k = 0; k < s->rest_count; k++) {
         against(s, s->rest + k * n, told);
         for (Py_ssize_t j = 0; j + 1 < n; j++)
@@ -105,15 +113,15 @@ static int factored(const double *products, const double *onto, Py_ssize_t all, 
     return 1;
 }
 
-/* What a step in column j takes away beside the others, 0 where it is no further one. z : room for them. */
-static double taken_by(const Stepped *s, const double *columns, Py_ssize_t all, Py_ssize_t without, Py_ssize_t j,
+/* What a step in column j takes away beside the others, 0 where it is no further one. told : products of the others and pv with
+ * every column. z : room for them. */
+static double taken_by(const Stepped *s, const double *told, Py_ssize_t all, Py_ssize_t without, Py_ssize_t j, double size,
                        const double *l, const double *y, double *z) {
-    Py_ssize_t kept = s->n - 1 - j;
-    double size = dot(s->response, s->response, kept), along = dot(s->pv + j + 1, s->response, kept);
+    double along = told[all * s->n + j];
     for (Py_ssize_t i = 0, row = 0; row < all; row++) {
         if (row == without)
             continue;
-        double sum = dot(columns + row * s->n + j + 1, s->response, kept);
+        double sum = told[row * s->n + j];
         for (Py_ssize_t k = 0; k < i; k++)
             sum -= l[i * all + k] * z[k];
         z[i] = sum / l[i * all + i];
@@ -123,23 +131,33 @@ static double taken_by(const Stepped *s, const double *columns, Py_ssize_t all, 
     return size > s->unique * (double)s->n ? along * along / size : 0;
 }
 
+/* Puts step i into its column, and what this says of the others and of pv. */
+static void put_step(const Stepped *s, Py_ssize_t all, Py_ssize_t mine, Py_ssize_t at, double *columns, double *told,
+                     double *products, double *onto) {
+    put_column(s, at, columns + mine * s->n);
+    against(s, columns + mine * s->n, told + mine * s->n);
+    onto[mine] = told[all * s->n + at];
+    for (Py_ssize_t j = 0; j < all; j++)
+        products[mine * all + j] = products[j * all + mine] = told[j * s->n + at];
+}
+
 /* Every step at its best column within `reach`, the others held where they are, so many times. Returns what is left,
  * negative without memory. */
 static double move_steps(const Stepped *s, double *rows, Py_ssize_t count, Py_ssize_t reach, int passes) {
     Py_ssize_t n = s->n, rest = s->rest_count, all = rest + count;
-    double *columns = malloc((size_t)(all * n + 2 * all * all + 3 * all + n) * sizeof *columns);
+    double *columns = calloc((size_t)((2 * all + 3) * n + 2 * all * all + 3 * all), sizeof *columns);
     if (!columns)
         return -1;
-    double *products = columns + all * n, *l = products + all * all, *onto = l + all * all, *y = onto + all, *z = y + all;
-    double *left = z + all;
+    double *told = columns + all * n, *left = told + (all + 1) * n, *sizes = left + n, *products = sizes + n;
+    double *l = products + all * all, *onto = l + all * all, *y = onto + all, *z = y + all;
     memcpy(columns, s->rest, (size_t)(rest * n) * sizeof *columns);
-    for (Py_ssize_t i = 0; i < count; i++)
-        put_column(s, (Py_ssize_t)rows[i], columns + (rest + i) * n);
-    for (Py_ssize_t i = 0; i < all; i++) {
-        onto[i] = dot(columns + i * n, s->pv, n);
-        for (Py_ssize_t j = 0; j <= i; j++)
-            products[i * all + j] = products[j * all + i] = dot(columns + i * n, columns + j * n, n);
+    lay_squares(s, sizes), against(s, s->pv, told + all * n);
+    for (Py_ssize_t i = 0; i < rest; i++) {
+        against(s, columns + i * n, told + i * n);
+        onto[i] = dot(columns + i * n, s->pv, n), products[i * all + i] = 1;
     }
+    for (Py_ssize_t i = rest; i < all; i++)
+        put_step(s, all, i, (Py_ssize_t)rows[i - rest], columns, told, products, onto);
     for (Py_ssize_t turn = 0; turn < passes * count; turn++) {
         Py_ssize_t i = turn % count, mine = rest + i, at = (Py_ssize_t)rows[i], chosen = -1;
         Py_ssize_t first = at > reach ? at - reach : 0, end = at + reach + 1 < n - 1 ? at + reach + 1 : n - 1;
@@ -147,17 +165,12 @@ static double move_steps(const Stepped *s, double *rows, Py_ssize_t count, Py_ss
         if (!factored(products, onto, all, mine, l, y))
             continue;
         for (Py_ssize_t j = first; j < end; j++) {
-            double taken = taken_by(s, columns, all, mine, j, l, y, z);
+            double taken = taken_by(s, told, all, mine, j, sizes[j], l, y, z);
             if (taken > best)
                 best = taken, chosen = j;
         }
-        if (chosen < 0)
-            continue;
-        rows[i] = (double)chosen;
-        put_column(s, chosen, columns + mine * n);
-        onto[mine] = dot(columns + mine * n, s->pv, n);
-        for (Py_ssize_t j = 0; j < all; j++)
-            products[mine * all + j] = products[j * all + mine] = dot(columns + mine * n, columns + j * n, n);
+        if (chosen >= 0)
+            rows[i] = (double)chosen, put_step(s, all, mine, chosen, columns, told, products, onto);
     }
     memcpy(left, s->pv, (size_t)n * sizeof *left);
     for (Py_ssize_t i = 0; i < all; i++) {
