@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.signals.response import Ending, Peak, Response
 from retuner.adaptive.signals.sample import LoopMode, LoopSample, Window
 from retuner.adaptive.supervision.admission import Admission, AdmissionSettings, Ground, admit, inside_region
@@ -96,18 +95,6 @@ def test_every_ground_is_reached_by_its_fault(ground: Ground) -> None:
     document = admission.to_dict()
     assert document["ground"] == ground.name.lower()
     assert document["reason"] == admission.sentence
-
-
-def test_refusals_name_a_cause_that_changes_nothing() -> None:
-    for ground, fault in FAULTS.items():
-        if ground is not Ground.ADMITTED:
-            samples = fault(swing())
-            diagnosis = admit(
-                Window.of(samples), samples, found(samples), AdmissionSettings(), lambda s: s.x < 5, RANGE
-            ).diagnosis()
-            assert not diagnosis.retune
-    limited = judged(FAULTS[Ground.SATURATED](swing()))
-    assert limited.diagnosis().cause is Cause.SATURATION
 
 
 def test_an_output_at_its_limit_is_a_known_input() -> None:

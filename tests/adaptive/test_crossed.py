@@ -2,18 +2,13 @@
 
 import math
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 
-from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.signals.response import Ending, Peak, Response
 from retuner.adaptive.signals.sample import LoopSample, Window
-from retuner.adaptive.supervision import learning
 from retuner.adaptive.supervision.question import ResponseRecord
-from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable
@@ -54,25 +49,3 @@ def test_how_far_it_went_is_a_share_of_the_axis_and_nothing_where_there_is_one_r
     assert found.share == pytest.approx(0.07 * 49 / 59)  # of the response itself, which begins at 10 s
     alone = GainTable("loop", Regions("pv", "-", ("all",), 0.0, (), 100.0), (GAINS,))
     assert replace(found, region=0, table=alone).share == 0.0
-
-
-@pytest.mark.parametrize(
-    ("agreement", "settles", "expected"),
-    [
-        (Agreement.AGREES, True, "in motion"),
-        (Agreement.FIRST, True, "in motion"),
-        (Agreement.AGREES, False, "linear"),
-        (Agreement.CONTRADICTS, True, "linear"),  # the process may have changed in time
-        (Agreement.SILENT, True, "linear"),
-    ],
-)
-def test_where_the_fit_in_motion_does_not_agree_it_is_judged_as_any_other(monkeypatch, agreement, settles, expected):
-    known: Any = SimpleNamespace(identifiable=settles)
-    in_motion: Any = SimpleNamespace(region_model=known, agreement=agreement)
-    monkeypatch.setattr(learning, "_from_neighbours", lambda *_: None)
-    monkeypatch.setattr(learning, "_across", lambda *_: (in_motion, {}))
-    monkeypatch.setattr(learning, "update_region_model", lambda *_: "linear")
-    monkeypatch.setattr(learning, "as_wide_as_known", lambda learned: learned)
-    asked = record("pv", (55.0, 70.0), -math.inf)
-    found, _ = learning.learned_by_itself(asked, RetunerSettings(1.0, 100.0), {})
-    assert found == ("linear" if expected == "linear" else in_motion)

@@ -61,16 +61,6 @@ def test_peaks_overshoot_damping_and_period_of_a_known_decay(zeta: float) -> Non
     assert response.period_s == pytest.approx(t3, abs=2 * dt)
 
 
-def test_an_overdamped_setpoint_response_has_one_peak_and_ends_quiet() -> None:
-    sp = [0.0] * 100 + [5.0] * 900
-    pv = [0.0] * 100 + [5.0 * (1 - math.exp(-0.1 * i * 0.5)) for i in range(900)]
-    (response,) = run(pv, sp, 0.5, band=0.05)
-    assert response.ending == Ending.QUIET
-    assert len(response.peaks) == 1
-    assert response.overshoot is None
-    assert response.damping is None
-
-
 def test_a_setpoint_response_whose_second_extreme_grows_is_not_waited_for() -> None:
     """A swing that grows sixfold a half cycle is handed out two half cycles after its step, not three."""
     t = [0.1 * i for i in range(1200)]

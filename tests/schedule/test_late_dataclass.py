@@ -145,17 +145,3 @@ def test_fields_of_a_class_without_slots_are_inherited() -> None:
     assert dataclasses.replace(Slotted(), a=5).a == 5
     with pytest.raises(dataclasses.FrozenInstanceError):
         Slotted().a = 4  # type: ignore[misc]
-
-
-def test_other_options_make_the_usual_class() -> None:
-    @late_dataclass.dataclass(frozen=True)
-    class Plain:
-        a: int = 1
-
-    @late_dataclass.dataclass
-    class Bare:
-        a: int = 1
-
-    assert Plain() == Plain()
-    assert Bare().a == 1
-    assert all(not inspect.getfile(vars(c)["__eq__"]).endswith("late_dataclass.py") for c in (Plain, Bare))

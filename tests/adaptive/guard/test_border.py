@@ -45,16 +45,6 @@ def test_the_ends_are_the_processes_themselves(one: ProcessModel, other: Process
             assert there == pytest.approx(here, rel=1e-6)
 
 
-def test_half_way_is_the_geometric_mean() -> None:
-    found = between_models(
-        replace(MODEL, k=1.0, tau1_s=20.0, theta_s=2.0), replace(MODEL, tau1_s=80.0, theta_s=8.0), 0.5
-    )
-    assert (found.tau1_s, found.theta_s) == (pytest.approx(40.0), pytest.approx(4.0))
-    assert found.k / found.tau1_s == pytest.approx(math.sqrt(1 / 20 * 2 / 80))
-    negative = between_models(replace(MODEL, k=-1.0), replace(MODEL, k=-4.0), 0.5)
-    assert negative.k == pytest.approx(-2.0)
-
-
 def test_what_has_no_mean_is_not_asked() -> None:
     assert between_models(MODEL, ProcessModel(ProcessType.DELAY, 1.0, theta_s=1.0), 0.5) is None
     assert between_models(MODEL, replace(MODEL, k=-2.0), 0.5) is None

@@ -7,11 +7,10 @@ import pytest
 from guard_cases import BEST, GAINS, MODEL, times
 
 from retuner.adaptive.fit.structure import parameters_of
-from retuner.adaptive.guard import KC_ONLY, NO_DERIVATIVE, NO_LOCKS, GuardSettings, Ruling, Support, allowed, prove
+from retuner.adaptive.guard import KC_ONLY, NO_DERIVATIVE, NO_LOCKS, GuardSettings, Ruling, prove
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.region_model.region_model import RegionModel, StructureModel
-from retuner.adaptive.region_model.update import predicted
 from retuner.adaptive.supervision.known_processes import KnownProcesses, change_request, unproved_request
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.schedule.regions import Regions
@@ -21,7 +20,6 @@ REGIONS = Regions("pv", "C", ("cold", "warm", "hot"), 0.0, (20.0, 60.0), 100.0)
 START = GainTable("oven", REGIONS, (GAINS, times(0.5, 0.5), times(0.3, 0.3)))
 NOW = START.with_gains(1, times(0.8, 0.8))
 SETTINGS = RetunerSettings(1.0, 100.0, region_locks=(None, KC_ONLY), locks=NO_DERIVATIVE)
-DAY = 86400.0
 
 
 def region_model(k: float, t_s: float = 0.0) -> RegionModel:
@@ -29,30 +27,6 @@ def region_model(k: float, t_s: float = 0.0) -> RegionModel:
     log = LogModel(parameters_of(model), 0.01 * np.eye(3), 1)
     around = (Plausible(model, 0.0), Plausible(replace(model, theta_s=6.0), 3.0))
     return RegionModel((StructureModel(log, 0.0),), 3, t_s, plausible=around)
-
-
-def test_what_is_known_is_asked() -> None:
-    region_models = {1: region_model(2.0), 2: region_model(4.0)}
-    asked = change_request(BEST, 1, START, KnownProcesses(NOW, region_models, DAY, SETTINGS), None)
-    assert (asked.in_force, asked.commissioned, asked.proposal) == (times(0.8, 0.8), times(0.5, 0.5), BEST)
-    assert asked.sample_time_s == 1.0
-    assert (
-        change_request(
-            BEST, 1, START, KnownProcesses(NOW, region_models, DAY, replace(SETTINGS, filter_s=3.0)), None
-        ).filter_s
-        == 3.0
-    )
-    variance = SETTINGS.tracker.walk_per_day**2
-    log = predicted(region_models[1], DAY, SETTINGS.tracker)
-    assert asked.models == allowed(log, region_models[1].plausible, variance, SETTINGS.guard)
-    assert asked.models[1].model.theta_s > 6.0  # a day apart
-    assert (asked.evidence.records, asked.evidence.age_s, asked.evidence.innovation) == (3, DAY, 0.0)
-    cold, hot = asked.borders
-    assert cold.name == "cold"
-    assert len(cold.models) == 1  # what the others lend, at its likeliest
-    assert hot.name == "hot"
-    assert hot.models[0].model.k == pytest.approx(4.0)
-    assert not asked.urgent
 
 
 def test_a_borrowed_model_is_no_record() -> None:
@@ -84,11 +58,3 @@ def test_a_swing_that_does_not_die_is_urgent(damping: float | None, urgent: bool
     assert not change_request(
         BEST, 1, START, KnownProcesses(NOW, {1: region_model(2.0)}, 0.0, late), None, damping
     ).urgent
-
-
-def test_without_a_model_the_guard_is_told_so() -> None:
-    asked = unproved_request(BEST, 1, (NOW, START), SETTINGS)
-    assert asked.models == ()
-    assert asked.evidence.support == Support.PATTERN
-    assert asked.locks == KC_ONLY
-    assert (asked.in_force, asked.commissioned) == (times(0.8, 0.8), times(0.5, 0.5))

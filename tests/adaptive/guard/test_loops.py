@@ -3,7 +3,6 @@
 import math
 from dataclasses import replace
 
-import pytest
 from effort import examples
 from guard_cases import GAINS, MODEL, times
 from hypothesis import given, settings
@@ -12,15 +11,8 @@ from hypothesis import strategies as st
 from retuner.adaptive.guard.proof import Loops
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import LinearProcess
-from retuner.schedule.gains import PidGains
 
 PLAIN = MODEL.linear()
-
-
-def test_the_filter_of_the_derivative_counts() -> None:
-    gains = PidGains(GAINS.kp, GAINS.ki, 4.0 * GAINS.kp)
-    assert Loops([PLAIN], 3.0).nominal(gains) == sensitivity_peak(PLAIN, gains, 3.0)
-    assert Loops([PLAIN], 3.0).nominal(gains) != pytest.approx(Loops([PLAIN]).nominal(gains), rel=1e-3)
 
 
 def test_the_same_is_not_safer() -> None:

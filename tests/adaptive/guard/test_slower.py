@@ -3,7 +3,7 @@
 from dataclasses import astuple, replace
 
 import pytest
-from guard_cases import BEST, GAINS, SAMPLED, SETTINGS, known, request, times
+from guard_cases import GAINS, SAMPLED, SETTINGS, known, request, times
 
 from retuner.adaptive.guard import GuardSettings, prove
 from retuner.adaptive.guard.proof import STEPS, slower_settings
@@ -42,15 +42,6 @@ def test_a_third_lag_is_dead_time_of_a_slower_pid_proposal_by_the_half_rule() ->
     assert wanted.tau_c_s == pytest.approx(5.5 + 8.0 / 2)
     found = slower_settings(request(GAINS, wanted, known(0.02, model)), SETTINGS)
     assert found[-1].tau_c_s == pytest.approx(1.3 * wanted.tau_c_s)
-
-
-def test_other_rules_have_none_unless_they_bring_them() -> None:
-    other = Tuning("amigo", "parallel", GAINS, 5.0)
-    assert slower_settings(request(GAINS, other), SETTINGS) == ()
-    own = Tuning("amigo", "parallel", times(0.5, 0.5), 9.0)
-    assert slower_settings(replace(request(GAINS, other), slower=(own,)), SETTINGS) == (own,)
-    assert slower_settings(request(GAINS, BEST, ()), SETTINGS) == ()
-    assert slower_settings(request(GAINS, Tuning("simc", "parallel", GAINS)), SETTINGS) == ()
 
 
 def test_what_a_rule_brings_is_proved_like_any_other() -> None:
