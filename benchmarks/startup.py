@@ -23,10 +23,10 @@ FIRST_STEP = """if True:
     PidController(PidGains(2.0, 0.1), dt_s=1.0, pv_range=(0, 100)).step(50.0, 20.0)"""
 IDENTIFY = "retuner identify FILE"
 LIMITS = {
-    "retuner --help": (1.9, NUMPY),  # within 0.3 s where numpy takes 0.125 s; Python itself starts in 10 ms now that
-    "retuner check --help": (1.8, NUMPY),  # an editable install has no import hook: too little to be a measure
-    "retuner run --help": (1.9, NUMPY),  # typer and rich; pydantic no longer
-    "retuner experiment relay --help": (2.5, NUMPY),  # its many options are told one by one
+    "retuner --help": (1.1, NUMPY),  # typer, without rich and pydantic; Python itself starts in 10 ms now that an
+    "retuner check --help": (1.1, NUMPY),  # editable install has no import hook: too little to be a measure
+    "retuner run --help": (1.2, NUMPY),
+    "retuner experiment relay --help": (1.4, NUMPY),  # its many options are told one by one
     IMPORTED: (2.3, NUMPY),  # two hundred dataclasses, whose methods are made when their first objects are
     LOOP: (3.0, NUMPY),  # within 0.5 s where numpy takes 0.11 s
     IDENTIFY: (6.6, NUMPY),  # 5.3 to 5.8 since valves whose slips have times of their own are asked for (4.7 before)

@@ -125,6 +125,7 @@ app = typer.Typer(
     name="retuner",
     cls=Commands,
     no_args_is_help=True,
+    rich_markup_mode=None,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["--help", "-h"]},
 )
@@ -154,7 +155,7 @@ def listed() -> None:
 
 
 for _name, _help in COMMANDS.items():
-    app.command(_name, help=_help)(listed)
+    app.command(_name, short_help=_help)(listed)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -172,9 +173,11 @@ def main(arguments: list[str] | None = None) -> int:
     except UserError as error:
         return _tell(error.exit_status, *error.lines)
     except WRONG_USE as error:
-        path = error.ctx.command_path if error.ctx else "retuner"
-        wrong = error.format_message().rstrip(".")  # empty without arguments: the help was shown instead
-        return _tell(2, *([f"{path}: {wrong}. `{path} --help` shows how it is used."] if wrong else []))
+        path, wrong = error.ctx.command_path if error.ctx else "retuner", error.format_message()
+        if error.ctx and wrong == error.ctx.get_help():  # without arguments
+            sys.stdout.write(f"{wrong}\n")
+            return 2
+        return _tell(2, f"{path}: {wrong.rstrip('.')}. `{path} --help` shows how it is used.")
     except (KeyboardInterrupt, typer.Abort):
         return _tell(INTERRUPTED, "retuner: interrupted")
     except _driver_errors() as error:

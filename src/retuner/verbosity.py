@@ -82,7 +82,11 @@ def _command(quiet: Quiet = False, verbose: Verbose = 0) -> None:
 
 
 def with_verbosity(command: Command) -> Command:
-    """The command, or every command of a group, with -q and -v; an option of its own by that name stays."""
+    """The command, or every command of a group, with -q and -v; an option of its own by that name stays.
+
+    Its help is plain text: what draws boxes round it takes as long to load as numpy.
+    """
+    vars(command)["rich_markup_mode"] = None
     for inner in getattr(command, "commands", {}).values():
         with_verbosity(inner)
     if not hasattr(command, "commands"):

@@ -138,7 +138,8 @@ def command(app: typer.Typer, options: type[Any], work: str, epilog: str) -> Non
     def called(given: object) -> int:
         return int(getattr(import_module(f"retuner.commands.{module}"), name)(given))
 
-    app.command(name, epilog=epilog)(called)
+    first = " ".join(str(options.__doc__).partition("\n\n")[0].split())
+    app.command(name, short_help=first, epilog=epilog)(called)
 
 
 def check_plot(path: Path | None) -> None:
