@@ -28,7 +28,7 @@ from retuner.adaptive.explanations.book import MOST_ROOM, MS_OF_ROOM, Book, doub
 from retuner.adaptive.explanations.likely_processes import cost_at
 from retuner.adaptive.explanations.settings_by_book import BookSettings, ByBook, bears, by_book, gain, lets_go, shares
 from retuner.adaptive.explanations.wandering_load import Prepared, lead_of_steps, log_likelihood
-from retuner.adaptive.guard import prove
+from retuner.adaptive.guard import Proof, prove
 from retuner.adaptive.guard.request import ChangeRequest, Evidence
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
@@ -197,36 +197,31 @@ def objection(found: Findings, own: Outcome, seen: AllSamples) -> Outcome | None
     no harm by models and book together, which weigh the same: loads may be steps, or one may wander. Its cause is room,
     or, where a setpoint step is among the samples, that they bear this change itself. Where a loop whose
     process was shown mostly rests, no load wanders, and the book must be sure. It must hold half a whole window, but
-    not where less action comes from a model that is not identifiable.
+    not where less action comes from a model that is not identifiable. A clear response whose fit is likelier than every
+    process of the book is of one between the points of its grid, or of what the process has become by now.
     """
     settings, book, told, proof = found.settings.book, seen.book, seen.told, own.proof
     record, look, shown = found.record, seen.look, seen.shown
-    if book is None or told is None or proof is None or proof.gains is None:
-        return None
-    if record.table.lookup is not Lookup.HARD:
+    if book is None or told is None or proof is None or proof.gains is None or record.table.lookup is not Lookup.HARD:
         return None
     now, new, numbers, drawn = record.in_force, proof.gains, own.numbers, book.drawn(settings.drawn)
     less = abs(new.kp) < NEARLY * abs(now.kp) or abs(new.ki) < NEARLY * abs(now.ki)
     away = less and lets_go(drawn, now, new, settings)
     if found.growth is not None and not away:
         return None
-    rests = shown and (look is None or _rests(found, look))
-    more = told.numbers.book_room >= settings.more_odds or (not seen.by_loads and bears(drawn, now, new, settings))
-    seen_so = told.numbers.book_high >= HALF if less else more
-    if not seen.silent and not seen_so and (doubt := _doubt(found, own, seen, less=less)):
-        return found.unconfirmed(own, replace(doubt, reason=f"{told.words}; {doubt.reason}"))
     half = look is not None and float(np.ptp(look.window.t_s)) >= LOOK * book.dt_s
-    if not (away or book.records or half or (less and look and found.in_use and not found.in_use.identifiable)):
-        return None
+    tells = away or book.records or half or (less and look and found.in_use and not found.in_use.identifiable)
+    more = told.numbers.book_room >= settings.more_odds or (not seen.by_loads and bears(drawn, now, new, settings))
+    seen_so = seen.silent or (told.numbers.book_high >= HALF if less else more)
     worth, better = gain(drawn, now, new, settings)
     by_models = numbers.gain if isinstance(numbers, ChoiceNumbers) else 0.0
-    sure = not rests or better < 1.0 - settings.less_odds
-    if less:
-        against = away or (sure and better < settings.borne_out)
-    else:
-        high = shares(drawn, new, settings)[0]
-        against = (sure and by_models + worth < 0.0) or (not shown and high >= settings.less_odds)
-    if not against:
+    sure = not (shown and (look is None or _rests(found, look))) or better < 1.0 - settings.less_odds
+    worse = tells and sure and (better < settings.borne_out if less else by_models + worth < 0.0)
+    steps = (worse or not seen_so) and _likelier_by_steps(found, book, less=less)
+    if not seen_so and not steps and (doubt := _doubt(found, own, proof, seen, less=less)):
+        return found.unconfirmed(own, replace(doubt, reason=f"{told.words}; {doubt.reason}"))
+    bad = tells and not (less or shown) and shares(drawn, new, settings)[0] >= settings.less_odds
+    if not (away or bad or (worse and not (steps and found.clear))):
         return None
     by_that = f"the change is better with {better:.0%} probability, its expected benefit {percent(worth)}"
     if away:
@@ -235,40 +230,44 @@ def objection(found: Findings, own: Outcome, seen: AllSamples) -> Outcome | None
     return replace(own, code="unconfirmed", reason=reason, proof=None, basis=None, prediction=None)
 
 
-def _doubt(found: Findings, own: Outcome, seen: AllSamples, *, less: bool) -> Diagnosis | None:
-    """Why a change does not stand of which the book says that its cause is not there; None where it does.
-
-    Loads may be steps for all that: a clear response (for more action also one that agrees with such) is then likelier
-    by its fit than by any process under a load that wanders. Else the whole diagnosis must name the tuning, and no
-    valve be likelier. That is not enough for a cut of both gains: the diagnosis knows no load that wanders, and a
-    process that swings by itself explains such a load to the noise.
+def _doubt(found: Findings, own: Outcome, proof: Proof, seen: AllSamples, *, less: bool) -> Diagnosis | None:
+    """Why a change does not stand whose cause the book does not see; None where it does: the whole diagnosis must name
+    the tuning, and no valve be likelier. That is not enough for a cut of both gains: the diagnosis knows no load that
+    wanders, and a process that swings by itself explains such a load to the noise.
     """
-    record, learned, proof, book = found.record, found.learned, own.proof, seen.book
-    assert proof is not None
-    assert book is not None
+    record, learned, new, now = found.record, found.learned, proof.gains, found.record.in_force
     if record.crossed or found.joined:  # not of this region, or not of one response
         return None
-    if (
-        learned is not None
-        and found.in_use is not None
-        and exempt_from_confirmation(found, proof, learned, found.in_use)
-    ):
+    if learned and found.in_use and exempt_from_confirmation(found, proof, learned, found.in_use):
         return None
-    new, now = proof.gains, record.in_force
     cut = less and new is not None and abs(new.kp) <= abs(now.kp) and abs(new.ki) <= abs(now.ki)
     if cut and learned is not None and not (found.clear or is_known(found, learned)):
         return Diagnosis(Cause.UNKNOWN, HALF, {}, NOT_SHOWN)
-    if learned is not None and (found.clear or (not less and is_known(found, learned))):
-        estimate, n, window = learned.estimate, len(record.window.pv), Prepared.at(record.window, book.dt_s)
-        left = (1.0 - estimate.explained) * float(np.var(record.window.pv)) * len(window.pv) / n
-        likelihood = log_likelihood(window, book.direction, book.unit)
-        if len(window.pv) < FEWEST_ROWS or lead_of_steps(left, len(estimate.load_times_s), n, window, likelihood) > 0.0:
-            return None
     if (doubt := doubt_of(found, own.diagnosis)) is not None:
         return doubt
-    if seen.look is None or not valve_explains_more(seen.look.window, book, MOST_VALVE):
+    if seen.look is None or seen.book is None or not valve_explains_more(seen.look.window, seen.book, MOST_VALVE):
         return None
     return Diagnosis(Cause.STICTION, HALF, {}, "a valve that sticks or has play explains all samples better")
+
+
+def _likelier_by_steps(found: Findings, book: Book, *, less: bool) -> bool:
+    """Whether a clear response (for more action also one that agrees with such) is likelier by its fit, loads being
+    steps, than by every process of the book's grid under a load that wanders.
+    """
+    learned, record = found.learned, found.record
+    if (
+        learned is None
+        or record.crossed
+        or found.joined
+        or not (found.clear or (not less and is_known(found, learned)))
+    ):
+        return False
+    estimate, n, window = learned.estimate, len(record.window.pv), Prepared.at(record.window, book.dt_s)
+    if len(window.pv) < FEWEST_ROWS:
+        return True
+    left = (1.0 - estimate.explained) * float(np.var(record.window.pv)) * len(window.pv) / n
+    likelihood = log_likelihood(window, book.direction, book.unit)
+    return lead_of_steps(left, len(estimate.load_times_s), n, window, likelihood) > 0.0
 
 
 NOT_SHOWN = "no clear setpoint response has shown that"

@@ -23,12 +23,13 @@ from retuner.adaptive.explanations.book import (
     ODD,
     PLANES,
     RUNAWAYS,
+    STEP,
     Book,
     doubted,
     faded,
     update,
 )
-from retuner.adaptive.explanations.process_grid import DEAD_TIMES, GAINS, ProcessShape, shapes
+from retuner.adaptive.explanations.process_grid import DEAD_TIMES, EVERY_LAG, GAINS, ProcessShape, shapes
 from retuner.adaptive.explanations.settings_by_book import BookSettings, by_book, gain, lets_go
 from retuner.adaptive.guard import GuardSettings
 from retuner.adaptive.identification.plausible import Plausible
@@ -203,6 +204,21 @@ def test_the_gain_of_a_process_that_runs_away_is_not_cut(kc: float, cut: float) 
     assert gain(drawn, gains, less, SETTINGS)[1] < 0.2
     assert told.tuning is None or told.tuning.gains.kp >= gains.kp
     assert not lets_go(after(scaled(2.6), 3).drawn(SETTINGS.drawn), scaled(2.6), scaled(1.0), SETTINGS)
+
+
+@pytest.mark.parametrize(("odds", "follows"), [(0.05, True), (0.95, False)])
+def test_no_more_action_follows_from_a_process_that_runs_away(odds: float, *, follows: bool) -> None:
+    """Proved on the 5 % that do not, it took a loop from Ms 1.65 to 3.48. Either process has the slope K / LAG."""
+    now, planes = scaled(0.25), np.full(PLANES, DEEPEST, dtype=np.uint8)
+    for lag, share in ((22.0, 1.0 - odds), (-130.0, odds)):
+        row = shapes(EVERY_LAG).index(ProcessShape(lag, 0.0))
+        gains = GAINS * shapes(EVERY_LAG)[row].unit / begun().unit
+        k = int(np.argmin(np.abs(np.log(gains * LAG / (K * abs(lag))))))
+        planes[:, row, DEAD_TIMES.index(4.0), k] = round(math.log(max(odds, 1.0 - odds) / share) / STEP)
+    book = replace(begun(), levels=planes.tobytes(), whole=planes.tobytes(), moved=1.0, records=2, leans=1)
+    told = by_book(book, now, SETTINGS)
+    assert told.leans == 1
+    assert (told.tuning is not None) is follows
 
 
 def test_a_record_under_other_gains_counts_for_the_same_process() -> None:
@@ -526,18 +542,19 @@ def put_to_the_book(
     times: float, to: float, expected: float | None, agreement: Agreement = Agreement.AGREES, *, shown: bool = True,
     at_rest: bool = False, first: bool = False, code: str = "", doubt: Diagnosis | None = None, settled: bool = True,
     grows: bool = True, leans: int = 0, diagnosis: Diagnosis | None = None, moved: float = 0.0, due: bool = True,
-    n: int = 1000,
+    n: int = 1000, clear: Window | None = None, explained: float = 0.0,
 ) -> Outcome:  # fmt: skip
     """A change that follows from a response, or with a code none, put to the book. times : of the good gains, in force.
 
-    expected : benefit by the models. moved : of the book, by the setpoint. n : samples that are looked at.
+    expected : benefit by the models. moved : of the book, by the setpoint. n : samples that are looked at. clear : of a
+    response that is, and how much of pv its fit explains; None where it is not.
     """
     now = scaled(times)
     window = recorded(now, 5, n)
     book = replace(begun(now) if first else after(now, 3), leans=leans, moved=moved, moved_before=moved)
     record: Any = SimpleNamespace(
         region=0, region_models={0: SimpleNamespace(identifiable=True)}, excitation=Excitation(clear=int(shown)),
-        foreign=0, in_force=now, book=book, crossed=True, samples=[],
+        foreign=0, in_force=now, book=book, crossed=clear is None, samples=[], window=clear,
         table=SimpleNamespace(lookup=Lookup.HARD), response=SimpleNamespace(band=100.0 if at_rest else 0.1),
     )  # fmt: skip
     look = Look(book, window, grows=grows, limited=0.0, due=due)
@@ -546,13 +563,15 @@ def put_to_the_book(
     )
     verdict: Any = SimpleNamespace(accepted=True, gains=scaled(to * times))
     known: Any = SimpleNamespace(identifiable=settled, plausible=())
-    learned: Any = SimpleNamespace(agreement=agreement, valve=None)
+    estimate = SimpleNamespace(explained=explained, load_times_s=())
+    learned: Any = SimpleNamespace(agreement=agreement, valve=None, estimate=estimate)
     own = Outcome(code, "", diagnosis=diagnosis) if code else Outcome("accepted", "", proof=verdict)
     if expected is not None:
         own = replace(own, numbers=ChoiceNumbers(expected, 0.1, 0.0, 1.0, 1.6, 1.7, 1.8))
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(by_all_samples, "_doubt", lambda *_, **__: doubt)
-        return decide.gains_that_win(Findings(question, learned=learned, in_use=known), own)
+        found = Findings(question, learned=learned, in_use=known, clear=clear is not None)
+        return decide.gains_that_win(found, own)
 
 
 @pytest.mark.parametrize(
@@ -632,7 +651,7 @@ def test_a_cut_that_the_book_does_not_see_needs_a_clear_response(
     found = Findings(question, learned=cast("Any", SimpleNamespace()), in_use=cast("Any", SimpleNamespace()))
     proof: Any = SimpleNamespace(gains=PidGains(to[0] * now.kp, to[1] * now.ki))
     seen = AllSamples(book=begun(now))
-    doubt = by_all_samples._doubt(found, Outcome("accepted", "", proof=proof), seen, less=to[0] < 1.0)
+    doubt = by_all_samples._doubt(found, Outcome("accepted", ""), proof, seen, less=to[0] < 1.0)
     assert (doubt is not None) is doubted
     assert doubt is None or doubt.reason == by_all_samples.NOT_SHOWN
 
@@ -667,6 +686,18 @@ def test_where_no_load_wanders_the_book_must_be_sure_that_the_change_is_worse(
     """More action went unasked there: a good loop got Ms 1.94 by a model; it was better with 11 % by all samples."""
     monkeypatch.setattr(by_all_samples, "gain", lambda *_: (-0.5, better))
     assert (put_to_the_book(1.0, to, 0.3, at_rest=at_rest).proof is None) is dropped
+
+
+@pytest.mark.parametrize(("explained", "dropped"), [(0.9999, False), (0.5, True)])
+@pytest.mark.parametrize("to", [0.7, 2.6])
+def test_a_fit_that_is_likelier_than_every_process_of_the_book_is_not_objected_to(
+    to: float, explained: float, *, dropped: bool
+) -> None:
+    """A dead time that drifted between two of the grid took a loop to Ms 1.97 over three clear responses: the book said
+    1.68 all along, and that less action is better with 0 %.
+    """
+    found = put_to_the_book(1.0, to, 0.5, clear=recorded(GOOD, 5), explained=explained)
+    assert (found.proof is None) is dropped
 
 
 @pytest.mark.slow
