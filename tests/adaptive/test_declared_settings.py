@@ -9,8 +9,10 @@ import pytest
 
 from retuner import adaptive
 from retuner.adaptive.declared_setting import declared
+from retuner.drivers import plants
 
-MODULES = [import_module(found.name) for found in pkgutil.walk_packages(adaptive.__path__, "retuner.adaptive.")]
+ROOMS = ((adaptive.__path__, "retuner.adaptive."), (plants.__path__, "retuner.drivers.plants."))
+MODULES = [import_module(found.name) for path, name in ROOMS for found in pkgutil.walk_packages(path, name)]
 SETTINGS = [
     kind
     for module in MODULES

@@ -91,15 +91,6 @@ def test_equal_seeds_give_equal_readings() -> None:
     assert readings[0] == readings[1] != readings[2]
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [{"tank_s": 0.0}, {"noise_c": -1.0}, {"rangeability": 1.0}, {"inlet_c": math.nan}, {"power_max_c": math.inf}],
-)
-def test_physics_that_is_none_is_refused(wrong: dict[str, float]) -> None:
-    with pytest.raises(ValueError, match=f"boiler: {next(iter(wrong))}"):
-        BoilerSettings(**wrong)
-
-
 def test_a_start_that_nothing_holds_and_steps_that_are_none() -> None:
     with pytest.raises(ValueError, match="the burner gives 0 to 160 K"):
         BoilerPlant(start_c=300.0)

@@ -166,12 +166,3 @@ def test_non_finite_arguments_are_refused_and_nothing_moves(bad: float, where: i
         with pytest.raises(ValueError, match="finite"):
             plant.step(*arguments)
         assert plant.pv == 50.0
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [("power_w", 0.0), ("noise_c", math.nan), ("phase_share", 1.5), ("theta_hot_s", -1.0), ("jacket_c", -300.0)],
-)
-def test_oven_settings_name_what_is_wrong(name: str, value: float) -> None:
-    with pytest.raises(ValueError, match=name):
-        OvenSettings(**{name: value})

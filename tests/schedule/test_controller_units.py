@@ -14,29 +14,6 @@ SPANS = st.floats(1e-2, 1e4)
 ORDINARY = st.floats(1e-4, 1e4)
 
 
-@given(
-    name=st.sampled_from(NAMES),
-    form=st.sampled_from(["", "-series", "-ideal"]),
-    sets=st.tuples(ORDINARY, ORDINARY, st.floats(0.0, 0.9)),
-    spans=st.tuples(SPANS, SPANS),
-    sign=st.sampled_from([-1, 1]),
-    acting=st.booleans(),
-)
-def test_there_and_back(
-    name: str, form: str, sets: tuple[float, float, float], spans: tuple[float, float], sign: int, acting: bool
-) -> None:
-    kc, tau_i, share = sets
-    gains = SeriesGains(sign * kc, tau_i, share * tau_i).to_parallel()
-    action = Acting.of(gains) if acting else None
-    units = ControllerUnits.named(name + (form if name != "parallel" else ""), *spans, action=action)
-    shown = units.numbers(gains)
-    assert shown.form == units.form
-    assert shown.gain > 0 or not acting
-    back = units.gains(*shown[:3])
-    for one, two in zip((gains.kp, gains.ki, gains.kd), (back.kp, back.ki, back.kd), strict=True):
-        assert one == pytest.approx(two, rel=1e-9)
-
-
 @pytest.mark.parametrize(
     ("name", "numbers"),
     [
@@ -169,7 +146,7 @@ def test_deltav_has_two_forms(form: str, gain: float, reset: float, rate: float)
 
 
 @given(
-    name=st.sampled_from([name for name in CONTROLLERS if name != "odrive"]),
+    name=st.sampled_from([*NAMES, *(name for name in CONTROLLERS if name != "odrive")]),
     sets=st.tuples(ORDINARY, ORDINARY, st.floats(0.0, 0.9)),
     spans=st.tuples(SPANS, SPANS),
     sign=st.sampled_from([-1, 1]),
