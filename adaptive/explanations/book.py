@@ -150,6 +150,7 @@ class Book:
         """Whether the moves of the setpoint have told the process, and not loads alone."""
         return self.moved >= TOLD
 
+    @lru_cache(maxsize=4)  # noqa: B019  a decision asks for the same ones several times
     def drawn(self, count: int, order: int | None = None) -> LikelyProcesses:
         """Processes that stand for the weights, each as likely as the others, by systematic resampling (Kitagawa 1996).
         order : of the loads, as in ORDERS, where the process is to be known under these alone.
@@ -322,8 +323,7 @@ def _levels(logs: FloatArray, kept: BoolArray) -> bytes:
     levels = np.full(PLANES, DEEPEST, dtype=np.uint8)
     for one in WHOLE:
         top = float(np.max(logs[one]))
-        under = np.round((top - np.maximum(logs[one], top - DEEPEST * STEP)) / STEP)
-        levels[one, kept] = np.minimum(under, DEEPEST - 1)
+        levels[one, kept] = np.minimum(np.rint((top - logs[one]) / STEP), DEEPEST - 1)
     return levels.tobytes()
 
 
