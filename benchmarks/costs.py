@@ -89,7 +89,7 @@ def of_engine(_: float) -> Iterator[tuple[str, float]]:
     record = Prepared.at(window, window.sample_time_s)
     parts: dict[str, Callable[[], object]] = {
         "likelihood of the grid": lambda: log_likelihood(record, 1, 1.0),
-        "odds of a valve": lambda: log_odds_of_valve(record, 1),
+        "odds of a valve": lambda: log_odds_of_valve([record], 1),
         "plateaus": lambda: as_steps(record.pv),
     }
     for name, work in parts.items():

@@ -38,7 +38,7 @@ from retuner.adaptive.explanations.proposed_test import DecidingTest
 from retuner.adaptive.explanations.settings_by_odds import Worthwhile, halved, worthwhile
 from retuner.adaptive.explanations.slip_odds import log_odds_of_slips
 from retuner.adaptive.explanations.tuning_odds import TuningOdds, tuning_odds
-from retuner.adaptive.explanations.valve_odds import log_mean, log_odds_of_valve
+from retuner.adaptive.explanations.valve_odds import WEIGHT, log_mean, log_odds_of_valve
 from retuner.adaptive.explanations.wandering_load import TEMPER, Prepared, lead_of_steps
 from retuner.adaptive.fit.record import setpoint_changes
 from retuner.adaptive.fit.structure import model_at
@@ -195,8 +195,8 @@ def _walk(windows: Sequence[Window], gains: PidGains | None, direction: int, set
         longer = (part for w in windows for part in windows_of(w, 2.0 * found.dt_s, settings.most_windows // 2))
         coarser = (Prepared.at(part, 2.0 * found.dt_s) for part in longer)
         seen = tuple(with_smoothing(one, direction, None, settings.smooths)[0] for one in coarser)
-    valve = sum(log_odds_of_valve(r, direction) for r in seen)
-    slips = [log_odds_of_slips(Prepared.at(w, w.sample_time_s), direction) for w in windows if valve < SEEN]
+    valve = log_odds_of_valve(seen, direction)
+    slips = [WEIGHT * log_odds_of_slips(Prepared.at(w, w.sample_time_s), direction) for w in windows if valve < SEEN]
     if max(slips, default=0.0) > 0.0:
         valve = max(valve, sum(max(one, UNSEEN) for one in slips))
     longest = max(range(len(records)), key=lambda i: len(records[i].pv))
@@ -229,7 +229,7 @@ def _repeating(walk: Walk, windows: Sequence[Window], direction: int) -> Walk:
     return replace(walk, repeats=found, period_s=period_s)
 
 
-UNSEEN, SEEN = -1.0, 4.0
+UNSEEN, SEEN = -1.7, 6.9
 """Evidence of a record in which no valve with slips of its own is likelier: of one and the same, others may show it.
 And of a valve of one band, from which none is looked for."""
 
@@ -250,7 +250,7 @@ def _under_walk(
     said = {
         Cause.STICTION: math.log(settings.stiction) + said_for_valve(walk.valve, shapes, free, settings),
         Cause.NONLINEAR: math.log(settings.nonlinear) + along,
-        Cause.EXTERNAL: math.log(settings.repeats) + settings.valve_weight * walk.repeats,
+        Cause.EXTERNAL: math.log(settings.repeats) + WEIGHT * walk.repeats,
         Cause.OK: math.log(linear),
     }
     whole = float(np.logaddexp.reduce(list(said.values())))
@@ -344,7 +344,7 @@ def _tone_instead(found: RecordVerdict, gains: PidGains | None, settings: OddsSe
         if sensitivity_peak(model.linear(), gains) > settings.limits.ms_high:
             return 0.0
     lead = told.evidence["external_lead"] + by_coincidence(told.evidence)
-    odds = settings.valve_weight * lead / (2.0 * TEMPER) + math.log(settings.repeats / (1.0 - settings.repeats))
+    odds = settings.steps_weight * lead / (2.0 * TEMPER) + math.log(settings.repeats / (1.0 - settings.repeats))
     return 1.0 / (1.0 + math.exp(-min(max(odds, -50.0), 50.0)))
 
 
@@ -379,7 +379,7 @@ def _weight_of_steps(cause: Cause, found: RecordVerdict, walk: Walk, whole: floa
     most = settings.tone_alone if cause == Cause.EXTERNAL else 1.0
     # a slipping valve looks like load steps: beside one the loop by itself needs none
     if _white(fit, settings.few_loads if cause == Cause.EXTERNAL else 0, settings):
-        lead, most = lead * settings.valve_weight if lead > 0.0 else lead, 1.0
+        lead, most = lead * settings.steps_weight if lead > 0.0 else lead, 1.0
         lead = max(lead, 0.0) if cause == Cause.EXTERNAL else lead  # harmonics cost a tone much
     return most / (1.0 + math.exp(-min(max(lead - whole, -50.0), 50.0)))
 
@@ -461,18 +461,18 @@ OF_ONE_MODEL = frozenset({"ms", "gm", "pm_deg", "ki_ratio", "kp_ratio"})
 def _next(
     causes: Mapping[Cause, float], odds: TuningOdds, walk: Walk, window: Window, settings: OddsSettings
 ) -> DecidingTest | None:
-    """The deciding test: of the valve where it is one of the two causes in question, else of the tuning.
+    """The deciding test: a setpoint step, which shows tuning and valve, or steps of co where no such step decides.
 
     None for a loop that cannot be moved by its setpoint, whose error never moves, or where no test is likely to decide.
     """
-    if Cause.STICTION in list(causes)[:2] and causes[Cause.STICTION] >= IN_QUESTION:
-        return valve_test(odds, walk.record, float(np.std(window.co)))
     error_std = float(np.std(window.sp - window.pv))
     if not (odds.gains.kp or odds.gains.ki) or not error_std > 0:
         return None
-    test = deciding_test(odds, walk.record, error_std)
-    sure = next(iter(causes.values())) >= settings.undecided
-    return replace(test, size=max(test.size, PLAIN * error_std)) if sure and test is not None else test
+    test, valve = deciding_test(odds, walk.record, error_std), causes[Cause.STICTION] >= IN_QUESTION
+    if test is None:
+        return valve_test(odds, walk.record, float(np.std(window.co))) if valve else None
+    plain = valve or next(iter(causes.values())) >= settings.undecided
+    return replace(test, size=max(test.size, PLAIN * error_std)) if plain else test
 
 
 PLAIN = 4.0

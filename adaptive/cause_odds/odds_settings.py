@@ -20,11 +20,8 @@ class OddsSettings:
         cycle of a valve elsewhere, behind its process; 0.01 to 0.2, default 0.05.
     nonlinear : prior that the gain changes along pv by two and more within the record's range; 0.01 to 0.1, default
         0.03; no more gain is given where the records leave it larger odds.
-    valve_weight : power of the Bayes factor of a valve, of a load that repeats, and of a fit that leaves the noise
-        alone; 0.5 to 3, default 2.5: the tempered likelihood was too doubtful where the truth was known
-        (benchmarks/world). other_valve, other_weight : share of valves that are unlike every
-        one of the grid, and the power that a factor against a valve has for them; default 0.3 and 0.25 (of 60 sticking
-        valves that mattered 24 had a factor under e, the lowest e^-5).
+    steps_weight : power of the Bayes factor of a tone, and of a fit that leaves the noise alone; 0.5 to 3, default 2.5:
+        the tempered likelihood was too doubtful where the truth was known (benchmarks/world).
     shapes_say : how many times likelier a record is by a valve where shapes and plateaus named one; 2 to 20, default 6
         (9 of 25 sticking valves named, 2 of 75 other loops, under real loads). stands_slips : the same where pv stands
         while co travels and then slips; 10 to 100, default 40 (no false alarm on 31 healthy tags and 250 further
@@ -66,9 +63,7 @@ class OddsSettings:
     stiction: float = 0.25
     nonlinear: float = 0.03
     repeats: float = 0.05
-    valve_weight: float = 2.5
-    other_valve: float = 0.3
-    other_weight: float = 0.25
+    steps_weight: float = 2.5
     shapes_say: float = 6.0
     stands_slips: float = 40.0
     stands: float = 6.0

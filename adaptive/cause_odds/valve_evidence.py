@@ -1,9 +1,9 @@
 """What a record says for a valve that sticks or has play: its shapes and plateaus, beside the valves of the grid.
 
-    ln factor = s + d min(v + free, 0) + (1 - d) ln((1 - q) e^(w v) + q e^(u v))        s: shapes, v: grid's valves
+    ln factor = s + d max(v, min(v + free, 0)) + (1 - d) v        s: shapes, v: grid's valves
 
-Plateaus and fits see valves that are unlike all of the grid's (share q): where they name one (d = 1) the grid's say
-less against it. In between is in between: with all or nothing nine tenths of a record turned 2 % into 33 %.
+Plateaus and fits see valves that are unlike all of the grid's: where they name one (d = 1) the grid's say less against
+it. In between is in between: with all or nothing nine tenths of a record turned 2 % into 33 %.
 """
 
 import math
@@ -18,10 +18,8 @@ def said_for_valve(valve: float, shapes: float, free: float, settings: OddsSetti
 
     valve : ln Bayes factor of the grid's, tempered. shapes : shapes_of, summed. free : `unlike`.
     """
-    known, share = min(settings.valve_weight * valve, 500.0), settings.other_valve
-    by_grid = math.log((1.0 - share) * math.exp(known) + share * math.exp(min(settings.other_weight * valve, 0.0)))
-    named = min(shapes / math.log(settings.stands), 1.0)
-    return shapes + named * max(known, min(valve + free, 0.0)) + (1.0 - named) * by_grid
+    known, named = min(valve, 500.0), min(shapes / math.log(settings.stands), 1.0)
+    return shapes + named * max(known, min(valve + free, 0.0)) + (1.0 - named) * known
 
 
 def shapes_of(found: RecordVerdict, settings: OddsSettings) -> float:

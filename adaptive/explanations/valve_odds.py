@@ -1,21 +1,22 @@
-"""Does a valve between co and the process make a record likelier, with a load that wanders on top?
+"""Does a valve between co and the process make records likelier, with a load that wanders on top?
 
-    ln B = ln mean over valves of L(record | valve, process, load)  -  ln L(record | co itself, process, load)
+    l(x) = max over processes and loads of ln L(pv | x through the process)             (wandering_load.py)
+    ln B = ln mean over valves of e^(l(valve's position) - l(co))
 
-A valve that sticks moves in jumps, and a jump through the process is what no walk makes. Both sides are the likelihood
-of wandering_load.py, tempered alike. The mean over valves is the price of their numbers. Half of it is play and valves
-that follow after a slip, on a coarse grid; the other half valves that slip all the way to co (He et al. 2007, J = S).
-There each slip decides when the next one comes, so a band that is off by a twentieth makes another movement
-altogether: 160 bands are screened under the likeliest load, the best compared under all. Of 40 sticking valves behind
-setpoint steps in benchmarks/world 11 had a factor over e with eight bands, 21 have now; of 180 other loops none.
+A valve that sticks moves in jumps, and a jump through the process is what no walk makes. The mean over valves is the
+price of their numbers; process and load have the same freedom on both sides, so they have no price. Half of the valves
+have play or follow after a slip, on a coarse grid; the other half slip all the way to co (He et al. 2007, J = S). There
+each slip decides when the next one comes, so a band that is off by a hundredth may make another movement altogether:
+240 bands are screened, the likeliest compared closely.
+
+What the grid of processes lacks passes for a valve, or hides one, the more so the less noise there is: under a setpoint
+step of twelve standard deviations a quarter of a sample of dead time was e^230. So both sides have dead times of an
+eighth of a sample, and co itself may go through one short lag besides.
 
 A record begins anywhere in a valve's band, and shows one or two slips of one whose band is wider than co's range there:
-so bands go to 1.6 ranges, and not all valves begin in the middle. Where all did, in bands of 0.9 ranges at most and
-behind a first lag of a sample at least, 11 of 27 records of three real valves had a factor under 1/e, one of e^-4; two
-have, of e^-1.6 at the least. Of four records of healthy flow loops the largest was e^-1.1, and is e^-2.1.
-
-co itself and such valves may go through a second lag, play may not: it delays as a lag does, and a setpoint that moves
-all the time, as a master moves it, shows every lag that a grid lacks: of 6 slaves of a cascade 5 had a factor for play.
+so bands go to 1.6 ranges, and not all valves begin in the middle. Records of one loop have one and the same valve: its
+band is the same in all of them, in units of co, or each has a band of its own. A setpoint step moves co by many bands,
+and loads alone by one or two: neither shows by itself what both together do.
 """
 
 import math
@@ -23,9 +24,19 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from retuner.adaptive.explanations.wandering_load import Prepared, under_loads
+from retuner.adaptive.explanations.wandering_load import (
+    T_SETPOINT,
+    TEMPER,
+    Prepared,
+    filtered,
+    impulse_response,
+    pole_of,
+    spectrum,
+    under_loads,
+)
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.adaptive.valve.valve_model import Family, StuckValve
+from retuner.schedule.late_dataclass import dataclass
 
 Valve = tuple[Family, float, float, float]
 """Band as a share of co's range, jump of the band, and where it stands in its band at first, -1 to 1."""
@@ -40,11 +51,22 @@ SLIPPING += [
     (Family.HE, float(band), 1.0, i * SPREAD % 2.0 - 1.0) for i, band in enumerate(np.geomspace(0.05, 1.6, 80))
 ]
 """Valves that slip all the way."""
-LIKELIEST = 12  # valves out of those that are compared with second lags and under every load
+KINDS = (MOVING, SLIPPING)
+WEIGHT = TEMPER / T_SETPOINT
+"""A valve's jump owes nothing to loads, as what a setpoint does: its likelihood is tempered as that is."""
+LIKELIEST = 8  # valves of each kind out of those that are compared with second lags and under more loads
+SCREENED, CLOSER_LOADS, CLOSER_LAGS = 2, 4, 2
+"""Likeliest loads under which all valves are compared, and those likeliest; first lags that get finer dead times."""
+STARTS = (-1.0, -0.5, 0.0, 0.5, 1.0)
+"""Where a valve that another record shows may stand first."""
 LAGS = (1.0, 3.0, 7.0, 15.0, 33.0, 80.0, math.inf)
+SHORT = (1.0, 2.0, 4.0)
+"""Lags, samples, one of which co itself may go through besides."""
 DEAD_TIMES = (0.0, 1.0, 2.0, 4.0, 7.0, 12.0)
 FREE_DEAD_TIMES = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.5, 7.0, 9.0, 12.0)
-"""Dead times of co itself: half a sample that a grid lacks was taken for a valve, where the noise is small."""
+FINER = tuple((np.arange(-8, 9) / 8).tolist())
+"""Dead times, and those beside the likeliest: half a sample that a grid lacks was taken for a valve, where the noise is
+small."""
 Loads = Sequence[tuple[float, int]]
 LOADS: Loads = tuple((bandwidth, order) for order in (1, 2) for bandwidth in (0.05, 0.2, 0.8, math.inf))
 """Bandwidth and order of the loads that are tried."""
@@ -53,48 +75,109 @@ OCTAVES: Loads = tuple((bandwidth, order) for order in (1, 2) for bandwidth in (
 """Those beside a valve, which takes the place of a lag or an octave that is missing."""
 
 
-def positions(co: FloatArray, valves: Sequence[Valve]) -> FloatArray:
-    """What each valve that moves at all makes of co, from its first value; shape (valves, n)."""
+def positions(co: FloatArray, valves: Sequence[Valve]) -> tuple[list[int], FloatArray]:
+    """Which valves move at all, and what each of these makes of co, from its first value; shape (valves, n)."""
     travel = float(np.ptp(co))
-    each = (StuckValve(family, b * travel, j * b * travel, start).position(co) for family, b, j, start in valves)
-    return np.array([position - position[0] for position in each if np.ptp(position) > 0])
+    each = [StuckValve(family, b * travel, j * b * travel, start).position(co) for family, b, j, start in valves]
+    which = [i for i, position in enumerate(each) if np.ptp(position) > 0]
+    return which, np.array([each[i] - each[i][0] for i in which])
 
 
-def log_odds_of_valve(record: Prepared, direction: int) -> float:
+def log_odds_of_valve(records: Sequence[Prepared], direction: int) -> float:
     """Tempered logarithm of the Bayes factor of a valve that sticks or has play; 0 where no valve moves.
 
-    direction : sign of the process gain.
+    records : of one loop. direction : sign of the process gain.
     """
-    if not np.ptp(record.co) > 0:
-        return 0.0
-    valves, slips = positions(record.co, MOVING), positions(record.co, SLIPPING)
-    if not len(valves) or not len(slips):
-        return 0.0
+    each = [one for record in records if (one := _compared(record, direction)) is not None]
+    alone = sum(one.odds for one in each)
+    if len(each) < 2:
+        return alone
+    said = []
+    for kind in range(len(KINDS)):
+        valves = [valve for one in each for valve in one.likeliest[kind][: max(LIKELIEST // len(each), 1)]]
+        together = np.sum([one.beside(valves) for one in each], axis=0)
+        said.append(log_mean(together) + math.log(len(valves) / sum(one.among[kind] for one in each)))
+    return log_mean(np.array([alone, log_mean(np.array(said))]))
 
-    def weighed(rows: FloatArray, lag: float, loads: Loads, dead: tuple[float, ...], *, first_only: bool) -> FloatArray:
-        """Tempered log-likelihoods, shape (loads, second lags, inputs, dead times); no gain of the wrong sign."""
-        fits = under_loads(record, rows, lag, loads, dead, first_only=first_only)
-        right = np.where(fits.gain * direction > 0, fits.gain, 0.0)
-        return fits.tempered(right[..., None]).reshape(len(loads), -1, len(rows), len(dead))
 
-    free = [weighed(record.co[None], lag, OCTAVES, FREE_DEAD_TIMES, first_only=False) for lag in FREE_LAGS]
-    coarse = [FREE_DEAD_TIMES.index(dead) for dead in DEAD_TIMES]
-    # a second lag, or a finer dead time, that is not needed costs nothing
-    linear = max(
-        log_mean(np.concatenate([found[:, :lags, :, dead].ravel() for found in free]))
-        for lags in (1, None)
-        for dead in (coarse, slice(None))
-    )
-    behind = [weighed(valves, lag, OCTAVES, DEAD_TIMES, first_only=True) for lag in FREE_LAGS]
-    best = max(range(len(OCTAVES)), key=lambda i: max(float(found[i].max()) for found in (*free, *behind)))
-    load = OCTAVES[best : best + 1]
-    screened = np.max([weighed(slips, lag, load, DEAD_TIMES, first_only=True) for lag in FREE_LAGS], axis=(0, 1, 2, 4))
-    likeliest = slips[np.argsort(-screened, kind="stable")[:LIKELIEST]]
-    closer = np.concatenate(
-        [weighed(likeliest, lag, OCTAVES, DEAD_TIMES, first_only=False).ravel() for lag in FREE_LAGS]
-    )
-    slipped = log_mean(closer) + math.log(len(likeliest) / len(slips))
-    return float(np.logaddexp(log_mean(np.array(behind)), slipped)) - math.log(2.0) - linear
+@dataclass(frozen=True, slots=True)
+class _Compared:
+    """A record beside valves. loads : the likeliest. free : tempered log-likelihood of co itself. odds : ln Bayes
+    factor, tempered. likeliest : valves of each kind, bands in co units, out of so many that move (among).
+    """
+
+    record: Prepared
+    direction: int
+    loads: Loads
+    free: float
+    odds: float
+    likeliest: list[list[Valve]]
+    among: list[int]
+
+    def beside(self, valves: Sequence[Valve]) -> FloatArray:
+        """ln Bayes factor of each valve, wherever it stood first; tempered."""
+        co = self.record.co
+        rows = np.array([[StuckValve(f, b, j * b, start).position(co) for start in STARTS] for f, b, j, _ in valves])
+        rows -= rows[..., :1]
+        found = _screened(self.record, self.direction, rows.reshape(-1, len(co)), self.loads[:SCREENED])
+        at = np.argmax(found.max(axis=0).reshape(len(valves), -1), axis=1)
+        return _likeliest(self.record, self.direction, rows[np.arange(len(valves)), at], self.loads) - self.free
+
+
+def _compared(record: Prepared, direction: int) -> _Compared | None:
+    """A record beside all valves; None where co or every valve stands still."""
+    travel = float(np.ptp(record.co))
+    moved = [positions(record.co, valves) for valves in KINDS] if travel > 0 else [([], record.co)]
+    if not all(which for which, _ in moved):
+        return None
+    n, spectra, short = len(record.co), spectrum(record.co), [pole_of(lag) for lag in SHORT]
+    lagged = [filtered(spectra, n, impulse_response((1.0 - pole,), (1.0, -pole), n)) for pole in short]
+    co = np.array([record.co, *lagged])
+    by_load = np.maximum(*(_screened(record, direction, rows, OCTAVES).max(axis=1) for rows in (co, moved[0][1])))
+    loads = [OCTAVES[i] for i in np.argsort(-by_load, kind="stable")[:CLOSER_LOADS]]
+    free = float(_likeliest(record, direction, co, loads, len(FREE_LAGS)).max())
+    said, likeliest = [], []
+    for valves, (which, rows) in zip(KINDS, moved, strict=True):
+        screened = _screened(record, direction, rows, loads[:SCREENED]).max(axis=0)
+        first = np.argsort(-screened, kind="stable")[:LIKELIEST]
+        found = _likeliest(record, direction, rows[first], loads) - free
+        said.append(log_mean(found) + math.log(len(first) / len(which)))
+        best = [valves[which[i]] for i in first[np.argsort(-found, kind="stable")]]
+        likeliest.append([(family, travel * band, jump, start) for family, band, jump, start in best])
+    among = [len(which) for which, _ in moved]
+    return _Compared(record, direction, loads, free, log_mean(np.array(said)), likeliest, among)
+
+
+def _screened(record: Prepared, direction: int, rows: FloatArray, loads: Loads) -> FloatArray:
+    """Tempered log-likelihood of rows behind one lag, the likeliest; shape (loads, rows)."""
+    each = [_weighed(record, direction, rows, lag, loads, FREE_DEAD_TIMES, first_only=True) for lag in FREE_LAGS]
+    return np.asarray(np.max(each, axis=(0, 2, 4)))
+
+
+def _likeliest(record: Prepared, direction: int, rows: FloatArray, loads: Loads, lags: int = CLOSER_LAGS) -> FloatArray:
+    """Tempered log-likelihood of each row with its likeliest process and load.
+
+    lags : first ones that get finer dead times.
+    """
+    each = [_weighed(record, direction, rows, lag, loads, FREE_DEAD_TIMES).max(axis=(0, 1)) for lag in FREE_LAGS]
+    found = np.full(len(rows), -math.inf)
+    for i in range(len(rows)):
+        for k in np.argsort([-float(one[i].max()) for one in each], kind="stable")[:lags]:
+            late = FREE_DEAD_TIMES[int(np.argmax(each[k][i]))]
+            dead = tuple(late + part for part in FINER if late + part >= 0.0)
+            closer = _weighed(record, direction, rows[i : i + 1], FREE_LAGS[k], loads, dead)
+            found[i] = max(found[i], float(closer.max()))
+    return found
+
+
+def _weighed(
+    record: Prepared, direction: int, rows: FloatArray, lag: float, loads: Loads, dead: tuple[float, ...],
+    *, first_only: bool = False,
+) -> FloatArray:  # fmt: skip
+    """Tempered log-likelihoods, shape (loads, second lags, rows, dead times); no gain of the wrong sign."""
+    fits = under_loads(record, rows, lag, loads, dead, first_only=first_only)
+    right = np.where(fits.gain * direction > 0, fits.gain, 0.0)
+    return WEIGHT * fits.tempered(right[..., None]).reshape(len(loads), -1, len(rows), len(dead))
 
 
 def log_mean(values: FloatArray) -> float:

@@ -18,7 +18,7 @@ from retuner.adaptive.diagnosis.second_opinion import SWINGING, TOWARDS_SAFETY, 
 from retuner.adaptive.diagnosis.swing_checks import at_own_crossover, foretold, not_seen
 from retuner.adaptive.diagnosis.unstable_process import UnstableProcess, unstable_process, worse_on
 from retuner.adaptive.explanations.book import Book
-from retuner.adaptive.explanations.valve_odds import log_odds_of_valve
+from retuner.adaptive.explanations.valve_odds import WEIGHT, log_odds_of_valve
 from retuner.adaptive.explanations.wandering_load import Prepared
 from retuner.adaptive.guard import Proof
 from retuner.adaptive.identification.estimate import log_controller
@@ -192,7 +192,7 @@ def stands(found: Findings) -> bool:
 
 def valve_explains_more(window: Window, book: Book, odds: float) -> bool:
     """Whether a valve that sticks or has play explains all samples by more than these odds (tempered, logarithm)."""
-    return log_odds_of_valve(Prepared.at(window, book.dt_s), book.direction) > odds
+    return log_odds_of_valve([Prepared.at(window, book.dt_s)], book.direction) > WEIGHT * odds
 
 
 def _of_this_process(found: Findings) -> Sequence[LoopSample]:

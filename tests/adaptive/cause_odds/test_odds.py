@@ -16,6 +16,7 @@ from retuner.adaptive.cause_odds.odds import _mixed, diagnose_records
 from retuner.adaptive.cause_odds.odds_settings import OddsSettings
 from retuner.adaptive.controller_settings.read_off import settings_in_force
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
+from retuner.adaptive.explanations.valve_odds import WEIGHT
 from retuner.adaptive.explanations.wandering_load import MOST_SAMPLES
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import Window
@@ -334,7 +335,7 @@ def test_a_record_in_which_no_slip_is_seen_speaks_a_little_against_those_of_anot
     slips = iter([6.0, -math.inf])
     monkeypatch.setattr(odds, "log_odds_of_slips", lambda *_: next(slips))
     walk = odds._walk([loop(seed=1, n=200), loop(seed=2, n=200)], PidGains(1.0, 0.05), 1, OddsSettings())
-    assert walk.valve == pytest.approx(6.0 + odds.UNSEEN)
+    assert walk.valve == pytest.approx(6.0 * WEIGHT + odds.UNSEEN)
 
 
 @pytest.mark.parametrize(("kp", "given"), [(2.0, True), (0.9, False)])

@@ -10,7 +10,7 @@ from retuner.adaptive.cause_odds import odds
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.explanations.periodic_load import log_odds_of_repeating
 from retuner.adaptive.explanations.slip_odds import log_odds_of_slips
-from retuner.adaptive.explanations.valve_odds import log_odds_of_valve
+from retuner.adaptive.explanations.valve_odds import WEIGHT, log_odds_of_valve
 from retuner.adaptive.explanations.wandering_load import Prepared
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.diagnosing import diagnose_windows
@@ -50,7 +50,7 @@ def told(of: Prepared) -> Diagnosis:
 def test_a_load_that_repeats_is_seen_with_its_period(shape: str) -> None:
     found = record(load(shape))
     repeats, period_s = log_odds_of_repeating(found, 1)
-    assert repeats > max(log_odds_of_valve(found, 1), log_odds_of_slips(found, 1), 4.0)
+    assert WEIGHT * repeats > max(log_odds_of_valve([found], 1), WEIGHT * log_odds_of_slips(found, 1), 7.0)
     assert period_s == pytest.approx(PERIOD, rel=0.01)
 
 
@@ -66,7 +66,8 @@ def test_a_slow_triangle_under_a_fast_loop_is_named_outside_with_its_period() ->
 def test_a_valve_that_makes_the_same_picture_stays_one(seed: int) -> None:
     drift = 0.02 * np.cumsum(np.random.default_rng(seed).standard_normal(N)) + 1.3
     found = record(drift, band=3.0, seed=seed)
-    assert log_odds_of_repeating(found, 1)[0] < max(log_odds_of_valve(found, 1), log_odds_of_slips(found, 1))
+    valve = max(log_odds_of_valve([found], 1) / WEIGHT, log_odds_of_slips(found, 1))
+    assert log_odds_of_repeating(found, 1)[0] < valve
     assert told(found).cause is Cause.STICTION
 
 

@@ -92,26 +92,56 @@ def test_a_loop_far_too_tight_is_calmed_where_no_set_is_sure() -> None:
     assert found.tuning.gains.ki == pytest.approx(share * 0.25)
 
 
-@pytest.mark.parametrize(("band", "step"), [(0.0, 0.0), (1.5, 0.0), (0.0, 3.0), (1.3, 3.0)])
-def test_a_valve_that_sticks_is_seen_under_a_load_and_a_free_one_is_not(band: float, step: float) -> None:
-    gains, rng = PidGains(1.5, 0.075), np.random.default_rng(2)
-    load, pole = np.cumsum(rng.standard_normal(700)) * 0.05, math.exp(-1 / 10.0)
-    pv, co = np.zeros(700), np.zeros(700)
+def record_through_valve(band: float, step: float, seed: int = 2, n: int = 700) -> Prepared:
+    """A setpoint step out and back under a load that wanders, through a valve that stays until co is a band away."""
+    gains, rng = PidGains(1.5, 0.075), np.random.default_rng(seed)
+    load, pole = np.cumsum(rng.standard_normal(n)) * 0.05, math.exp(-1 / 10.0)
+    pv, co = np.zeros(n), np.zeros(n)
     y = total = valve = 0.0
-    for i in range(700):
+    for i in range(n):
         pv[i] = y + 0.02 * rng.standard_normal()
         error = (step if 200 <= i < 450 else 0.0) - pv[i]
         total += gains.ki * error
         co[i] = gains.kp * error + total
         valve = co[i] if abs(co[i] - valve) > band else valve
         y = pole * y + (1 - pole) * (valve + load[i])
-    found = log_odds_of_valve(Prepared(pv - pv[0], co - co[0], 0.0, 1.0), 1)
+    return Prepared(pv - pv[0], co - co[0], 0.0, 1.0)
+
+
+@pytest.mark.parametrize(("band", "step"), [(0.0, 0.0), (1.5, 0.0), (0.0, 3.0), (1.3, 3.0)])
+def test_a_valve_that_sticks_is_seen_under_a_load_and_a_free_one_is_not(band: float, step: float) -> None:
+    found = log_odds_of_valve([record_through_valve(band, step)], 1)
     assert (found > (10.0 if step else 1.0)) if band else (found < 0.0)
+
+
+def test_records_of_one_valve_say_more_together_than_those_of_two() -> None:
+    """Its band is the same in all of them, in units of co, whatever co's range is in each."""
+    first, same, other = (record_through_valve(*one) for one in ((0.9, 0.0, 3), (0.9, 8.0, 4), (0.35, 8.0, 4)))
+    alone = [log_odds_of_valve([one], 1) for one in (first, same, other)]
+    together, apart = log_odds_of_valve([first, same], 1), log_odds_of_valve([first, other], 1)
+    assert together > alone[0] + alone[1] + 1.0
+    assert apart < alone[0] + alone[2]
+
+
+def test_a_setpoint_step_far_over_the_noise_makes_no_valve_of_a_dead_time_between_the_grid() -> None:
+    """At a quarter of a sample from the grid, an eighth of a valve's band had a factor of e^3.7 and 97 %."""
+    n, gains, rng = 540, PidGains(5.8, 0.24), np.random.default_rng(1)
+    level, pv, co = np.zeros(4 * n + 16), np.zeros(n), np.zeros(n)
+    y = total = 0.0
+    for i in range(n):
+        pv[i] = y + 0.002 * rng.standard_normal()
+        error = (1.2 if 40 <= i < 290 else 0.0) - pv[i]
+        total += gains.ki * error
+        co[i] = gains.kp * error + total
+        for part in range(4):
+            level[4 * i + part + 9] = co[i]  # nine quarters of a sample late
+            y += 0.031 / 4 * level[4 * i + part]
+    assert log_odds_of_valve([Prepared(pv - pv[0], co - co[0], 0.0, 10.0)], 1) < -5.0
 
 
 def test_a_valve_that_never_moves_is_no_valve() -> None:
     record = Prepared(np.random.default_rng(1).standard_normal(100), np.zeros(100), 0.0, 1.0)
-    assert log_odds_of_valve(record, 1) == 0.0
+    assert log_odds_of_valve([record], 1) == 0.0
 
 
 def test_the_deciding_test_grows_with_the_load_and_has_the_units_of_pv() -> None:

@@ -8,7 +8,7 @@ from effort import sized
 
 from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.explanations.slip_odds import log_odds_of_slips
-from retuner.adaptive.explanations.valve_odds import log_odds_of_valve
+from retuner.adaptive.explanations.valve_odds import WEIGHT, log_odds_of_valve
 from retuner.adaptive.explanations.wandering_load import Prepared
 from retuner.adaptive.fit import engine
 from retuner.adaptive.signals.sample import Window
@@ -42,7 +42,7 @@ def record(seed: int, band: float, load: str = "wanders") -> Prepared:
 @pytest.mark.parametrize("seed", [1, 3, 5])
 def test_a_valve_with_another_band_at_every_stop_is_seen(seed: int) -> None:
     found = record(seed, 1.2)
-    assert log_odds_of_slips(found, 1) > max(3.0, log_odds_of_valve(found, 1))
+    assert log_odds_of_slips(found, 1) > max(3.0, log_odds_of_valve([found], 1) / WEIGHT)
 
 
 @pytest.mark.parametrize("seed", [1, 5, 7][: sized(1, 2, 3)])

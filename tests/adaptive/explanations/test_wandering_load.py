@@ -294,7 +294,7 @@ def test_the_compiled_likelihood_is_that_of_numpy(seed: int) -> None:
     record, found = drawn_record(seed + 10), []
     for name in ("c", "numpy"):
         with engine.using(name):
-            found.append((log_likelihood(record, 1, 0.7), log_odds_of_valve(record, 1)))
+            found.append((log_likelihood(record, 1, 0.7), log_odds_of_valve([record], 1)))
     assert found[0][0] == pytest.approx(found[1][0], abs=1e-8)
     assert found[0][1] == pytest.approx(found[1][1], abs=1e-8)
 
