@@ -231,6 +231,24 @@ def test_doubtful_evidence_still_lets_a_loop_over_its_limit_have_less() -> None:
     assert more.ruling == Ruling.CONTRADICTED
 
 
+def test_the_proof_holds_every_question() -> None:
+    asked = {c.name for c in prove(replace(request(times(0.6, 0.6)), borders=(neighbour(MODEL),)), SETTINGS).checks}
+    assert asked >= {
+        "records",
+        "age",
+        "innovation",
+        "step_kc",
+        "step_tau_i",
+        "step_integral",
+        "total_kc",
+        "total_tau_i",
+        "tau_i_min",
+        "ms_nominal",
+        "ms_worst",
+        "ms_border",
+    }
+
+
 def test_a_swinging_integrating_loop_gets_more_gain_as_the_safe_direction() -> None:
     slow = ProcessModel(ProcessType.INTEGRATING, 0.04, theta_s=5.0)
     good = simc(replace(slow, theta_s=5.5))
