@@ -5,13 +5,15 @@ without a tone from outside and with one (tone.py).
     1/T       its power: what the setpoint makes co do is trusted more than what loads do (wandering_load.py)
     update    ln w  <-  ln w + ln((1 - ODD) L / max L + ODD mean L / max L)
     fade      w  <-  (1 - h) w + h prior,      h = 1 - exp(-t / hazard);      a tone begins and ends likewise
-    told      w   =  A^(s/T_ANSWERS) w_alone^(1 - tone),       once the setpoint has told the process
+    all   ln L/T  =  (1 - s)/T_LOADS ln W + s (A/(2 T_ANSWERS) + ln W/(2 T_SETPOINT)),          without a tone
+    told      w   =  (1 - tone) w_all + tone w_answers,            once the setpoint has told the process
 
 A tone lasts, so it is kept with each process whether there is one: a single window of it may look like a loop near
 instability, and several would make that sure. Under a tone and by loads alone, next to nothing tells a process from the
 inverse of its controller, which explains pv by co as well: such windows say how likely a tone is. Which process is
 there, the answers to the setpoint say, once there are some, whatever the load (A: any_load.py; s: the setpoint's share
-in what moves the window). Without a tone, what a load that wanders says counts besides (Genest & Zidek 1986).
+in what moves the window). Without a tone these answers are judged under a load that wanders (W) as well, which tells
+slow processes better. Both opinions use the same samples, so their weights have the sum 1 (Genest & Zidek 1986).
 
 No window makes anything sure: it may be an odd one, that says nothing. Windows add up on one grid (process_grid.py),
 because gains are counted in a unit, and time in an interval, that stay: those of the loop when its book was begun.
@@ -48,6 +50,7 @@ from retuner.adaptive.explanations.process_grid import (
 from retuner.adaptive.explanations.tone import likeliest_tone
 from retuner.adaptive.explanations.wandering_load import (
     ORDERS,
+    T_SETPOINT,
     TEMPER,
     Prepared,
     block_means,
@@ -64,13 +67,15 @@ STEP, DEEPEST = 0.05, 255
 WEIGHT_AT = np.append(np.exp(-STEP * np.arange(DEEPEST)), 0.0)  # of each level
 ODD, FEWEST_SAMPLES = 0.02, 30
 """Probability that a window says nothing of the process; samples of one that may say something."""
+OF_ANY = 0.5  # weight of a load of any spectrum, beside one that wanders, in what answers to the setpoint say; 0 to 1
 TONE, TONE_LASTS = 0.3, 20000
 """Probability of a tone before any record (3 loops of 10 oscillate: Bialkowski 1993), and samples that it lasts."""
 GRID = (len(shapes(EVERY_LAG)), len(DEAD_TIMES), len(GAINS))
-ANSWERS, TOLD = 2, 0.5  # plane (see PLANES); share of the moves of the setpoint from which these tell the process
-PLANES, WEIGHED = (3 + len(ORDERS), *GRID), 2
-"""Every process without a tone and with one, whose odds count; as answers to the setpoint show it, whatever the load;
-then, without a tone, under each order of load by itself."""
+ANSWERS, TOLD = 3, 0.5  # plane (see PLANES); share of the moves of the setpoint from which these tell the process
+PLANES, WEIGHED = (4 + len(ORDERS), *GRID), 2
+"""Every process by a load that wanders, without a tone and with one: their odds are those of a tone. Then by loads and
+answers to the setpoint, without a tone; by answers whatever the load; and without a tone under each order of load.
+"""
 WHOLE = (slice(WEIGHED), *(slice(i, i + 1) for i in range(WEIGHED, PLANES[0])))  # planes whose weights are one together
 BEYOND, MOST_ROOM, MS_OF_ROOM = 1.25, 12.0, 1.7
 """Loop gains so many times beyond the limit of stability are left out, and processes on which so many times all actions
@@ -133,11 +138,9 @@ class Book:
 
     def weights(self) -> FloatArray:
         """Weight of every process of the grid, sum 1; shape (shapes, dead times, gains)."""
-        known, tone, told = _weights(self.levels), self.tone, self.moved
-        alone, beside = (one / float(one.sum()) for one in known[:WEIGHED])
-        pooled = known[ANSWERS] * (alone / float(alone.max())) ** (1.0 - tone)
-        by_loads = (1.0 - tone) * alone + tone * beside
-        return np.asarray((1.0 - told) * by_loads + told * pooled / float(pooled.sum()))
+        tone, told = self.tone, self.moved
+        _, beside, by_all, answers = (one / float(one.sum()) for one in _weights(self.levels)[: ANSWERS + 1])
+        return np.asarray((1.0 - tone) * by_all + tone * ((1.0 - told) * beside + told * answers))
 
     @property
     def tone(self) -> float:
@@ -235,7 +238,8 @@ def update(book: Book, window: Window, *, hazard_s: float = math.inf, grows: boo
         power, answers = TEMPER / temper(share), np.zeros(len(alone))
         if share:
             answers = share / T_ANSWERS * log_likelihood_of_answers(record, book.direction, book.unit, kept)[kept]
-        found = np.array([power * alone, power * beside, answers, *(power * one[kept] for one in orders)])
+        by_all = power * alone + OF_ANY * (answers - share * TEMPER / T_SETPOINT * alone)
+        found = np.array([power * alone, power * beside, by_all, answers, *(power * one[kept] for one in orders)])
         for one in WHOLE:
             part = np.exp(found[one] - float(np.max(found[one])))
             logs[one] += np.log((1.0 - ODD) * part + ODD * float(np.mean(part)))
@@ -291,9 +295,8 @@ def _mixed(weights: FloatArray, fresh: FloatArray, change: float) -> bytes:
     """Where the process is another one with this probability, of these weights; a tone that is there stays."""
     kept = (1.0 - change) * weights[0] + change * fresh[0] > 0.0  # what was left out stays out
     weights, fresh = weights[:, kept], fresh[:, kept]
-    known, before = (np.sum(x[:WEIGHED], axis=1, keepdims=True) for x in (weights, fresh))
-    fresh = np.concatenate([fresh[:WEIGHED] * known / before, fresh[WEIGHED:]])
-    return _levels(np.log((1.0 - change) * weights + change * fresh), kept)
+    known, before = (np.sum(x, axis=1, keepdims=True) for x in (weights, fresh))
+    return _levels(np.log((1.0 - change) * weights + change * fresh * known / before), kept)
 
 
 def _array(levels: bytes) -> npt.NDArray[np.uint8]:

@@ -247,20 +247,35 @@ def test_a_dead_time_of_many_samples_is_told(kc: float, *, tight: bool) -> None:
     assert tight or told.book_high < 0.1
 
 
-def test_where_the_setpoint_has_told_loads_count_besides_as_far_as_there_is_no_tone() -> None:
-    """Answers that fit all alike leave what loads alone say; under a tone they leave all as likely as each other."""
+@pytest.mark.parametrize("toned", [False, True])
+def test_beside_a_tone_the_answers_to_the_setpoint_tell_the_process(*, toned: bool) -> None:
+    """Without one they have been counted with the loads; until they tell, loads and tones are all that is known."""
     book = update(begun(), recorded(GOOD, 7))
     planes = np.frombuffer(book.levels, dtype=np.uint8).reshape(PLANES).copy()
     possible = planes[0] != DEEPEST
     likely = planes[0, possible]
     rare = np.minimum(likely.astype(int) + 120, DEEPEST - 1)  # a four hundredth
     planes[ANSWERS, possible] = 0
-    for toned in (False, True):
-        planes[0, possible], planes[1, possible] = (rare, likely) if toned else (likely, rare)
-        alike = replace(book, levels=planes.tobytes(), whole=planes.tobytes())
-        told, by_loads = (replace(alike, moved=moved).weights()[possible] for moved in (1.0, 0.0))
-        assert abs(alike.tone - toned) < 0.05
-        assert told == pytest.approx(np.full(len(told), 1.0 / len(told)) if toned else by_loads, rel=0.7)
+    planes[0, possible], planes[1, possible] = (rare, likely) if toned else (likely, rare)
+    book = replace(book, levels=planes.tobytes(), whole=planes.tobytes())
+    told, by_loads = (replace(book, moved=moved).weights()[possible] for moved in (1.0, 0.0))
+    assert abs(book.tone - toned) < 0.05
+    expected = np.full(len(told), 1.0 / len(told)) if toned else by_loads
+    assert float(np.abs(told - expected).sum()) < 0.1
+
+
+def test_an_answer_beside_a_load_of_any_spectrum_tells_the_process_and_nothing_of_a_tone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    window, books = recorded(GOOD, 7), []
+    found = book_of_samples.log_likelihood_of_answers
+    for asked in (found, lambda *a: np.where(a[-1], np.linspace(-50.0, 0.0, len(GAINS)), -math.inf)):
+        monkeypatch.setattr(book_of_samples, "log_likelihood_of_answers", asked)
+        books.append(update(begun(), window))
+    mean_gain = [float(one.weights().sum(axis=(0, 1)) @ np.log(GAINS)) for one in books]
+    assert mean_gain[1] > mean_gain[0] + 0.1
+    assert books[0].tone < 0.5
+    assert books[1].tone == pytest.approx(books[0].tone, rel=0.2)
 
 
 def test_no_window_makes_a_process_impossible() -> None:

@@ -8,7 +8,7 @@ import pytest
 from retuner.adaptive.explanations import book as room
 from retuner.adaptive.explanations.book import DEEPEST, GRID, PLANES, STEP, WEIGHED, Book, faded, update
 from retuner.adaptive.explanations.process_grid import shapes
-from retuner.adaptive.explanations.wandering_load import T_LOADS, TEMPER
+from retuner.adaptive.explanations.wandering_load import ORDERS, T_LOADS, TEMPER
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.gains import PidGains
 
@@ -28,9 +28,7 @@ def window(first_s: float, n: int = N, co: float = 1.0) -> Window:
 def likely(monkeypatch: pytest.MonkeyPatch) -> FloatArray:
     """Tempered log-likelihood of each process of the next window; all alike until a test changes it."""
     plane = np.zeros(GRID)
-    monkeypatch.setattr(
-        room, "log_likelihoods", lambda *_: (np.array([plane] * 3), np.array([plane] * (PLANES[0] - 3)))
-    )
+    monkeypatch.setattr(room, "log_likelihoods", lambda *_: (np.array([plane] * 3), np.array([plane] * len(ORDERS))))
     return plane
 
 
@@ -142,7 +140,7 @@ def test_a_tone_may_be_likelier_where_the_setpoint_has_moved(
     alone, beside = (tuple(int(x) for x in place) for place in np.argwhere(begun.weights() > 0.0)[[0, -1000]])
     planes = np.tile(likely, (3, 1, 1, 1))
     planes[0][alone], planes[1][beside] = 50.0, 200.0
-    monkeypatch.setattr(room, "log_likelihoods", lambda *_: (planes, np.array([likely] * (PLANES[0] - 3))))
+    monkeypatch.setattr(room, "log_likelihoods", lambda *_: (planes, np.array([likely] * len(ORDERS))))
 
     def noted(_record: object, _setpoint: object, found: int) -> float:
         asked.append(tuple(int(x) for x in np.unravel_index(found, GRID)))
