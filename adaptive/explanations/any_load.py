@@ -32,8 +32,8 @@ from retuner.adaptive.explanations.wandering_load import Prepared, pole_of, redu
 from retuner.adaptive.fit.engine import compiled
 from retuner.adaptive.signals.sample import FloatArray
 
-ORDER = 20  # of the autoregression; a window of the book has a hundred samples per integral time
-T_ANSWERS = 4.5
+ORDER = 30  # of the autoregression; a window of the book has a hundred samples per integral time
+T_ANSWERS = 4.0
 """What the log-likelihood is divided by before it counts, as T_SETPOINT is for a walk; 3 to 8."""
 
 

@@ -71,7 +71,8 @@ OF_ANY = 0.5  # weight of a load of any spectrum, beside one that wanders, in wh
 TONE, TONE_LASTS = 0.3, 20000
 """Probability of a tone before any record (3 loops of 10 oscillate: Bialkowski 1993), and samples that it lasts."""
 GRID = (len(shapes(EVERY_LAG)), len(DEAD_TIMES), len(GAINS))
-ANSWERS, TOLD = 3, 0.5  # plane (see PLANES); share of the moves of the setpoint from which these tell the process
+BY_ALL, ANSWERS = 2, 3  # planes
+TOLD = 0.5  # share of the moves of the setpoint from which these tell the process
 PLANES, WEIGHED = (4 + len(ORDERS), *GRID), 2
 """Every process by a load that wanders, without a tone and with one: their odds are those of a tone. Then by loads and
 answers to the setpoint, without a tone; by answers whatever the load; and without a tone under each order of load.
@@ -138,9 +139,8 @@ class Book:
 
     def weights(self) -> FloatArray:
         """Weight of every process of the grid, sum 1; shape (shapes, dead times, gains)."""
-        tone, told = self.tone, self.moved
-        _, beside, by_all, answers = (one / float(one.sum()) for one in _weights(self.levels)[: ANSWERS + 1])
-        return np.asarray((1.0 - tone) * by_all + tone * ((1.0 - told) * beside + told * answers))
+        known, tone = _weights(self.levels), self.tone
+        return np.asarray((1.0 - tone) * known[BY_ALL] + tone * _beside_a_tone(known, self.moved))
 
     @property
     def tone(self) -> float:
@@ -267,7 +267,10 @@ def faded(book: Book, now_s: float, hazard_s: float) -> Book:
     if not (change or turn):
         return book
     weights, (process_s, tone_s) = _weights(book.whole).copy(), book.faded_s
-    alone = weights[:WEIGHED].sum(axis=0)
+    alone, (goes_on, began) = weights[:WEIGHED].sum(axis=0), weights[:WEIGHED].sum(axis=(1, 2, 3))
+    ended = began * turn * (1.0 - TONE)
+    ended /= ended + goes_on * (1.0 - turn * TONE)  # of the odds that there is none
+    weights[BY_ALL] += ended * (_beside_a_tone(weights, book.moved_before) - weights[BY_ALL])
     weights[:WEIGHED] += turn * (np.array([1.0 - TONE, TONE])[:, None, None, None] * alone - weights[:WEIGHED])
     faded_s = now_s if change else process_s, now_s if turn else tone_s
     whole, moved = _mixed(weights, _weights(book.prior), change), (1.0 - change) * book.moved_before
@@ -289,6 +292,11 @@ def heard(book: Book, sure: float, *, tone: bool) -> Book:
     more = np.array([0.0, lead if tone else -lead, *[0.0] * (PLANES[0] - WEIGHED)])[:, None]
     levels, whole = (_levels(logs + more, kept) for logs, kept in (_logs(book.levels), _logs(book.whole)))
     return replace(book, levels=levels, whole=whole)
+
+
+def _beside_a_tone(weights: FloatArray, told: float) -> FloatArray:
+    """Weights where there is a tone: by answers to the setpoint, as far as these tell."""
+    return np.asarray((1.0 - told) * weights[1] / float(weights[1].sum()) + told * weights[ANSWERS])
 
 
 def _mixed(weights: FloatArray, fresh: FloatArray, change: float) -> bytes:

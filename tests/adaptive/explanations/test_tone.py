@@ -117,7 +117,7 @@ def test_a_tone_ends_as_time_goes_by() -> None:
     later, much_later = (replace(b, levels=b.whole) for b in (faded(book, t, 1e12) for t in (2000.0, 9.0 * TONE_LASTS)))
     assert TONE + 0.5 < later.tone < book.tone
     assert much_later.tone == pytest.approx(TONE, abs=0.02)
-    assert np.allclose(much_later.weights(), book.weights(), atol=1e-4)  # of the process nothing was forgotten
+    assert float(np.abs(much_later.weights() - book.weights()).sum()) < 0.05  # of the process nothing was forgotten
 
 
 def test_what_diagnoses_of_responses_find_counts_in_the_book() -> None:
