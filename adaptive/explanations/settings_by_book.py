@@ -9,7 +9,7 @@ it is made where the book is clear, and was at the look before (for less action 
 where no tone from outside may be what moves it, unless the setpoint has moved it as well. Less action, where Ms is
 probably too high with the gains in force. More, where the loop probably has room, a set with more is probably cheaper,
 and next to no process makes a bad loop of it: a share of the way, where the whole is not sure.
-No more where most processes run away, for on these nothing is proved; no less where it would hold them worse.
+No more where next to all processes run away, for on these nothing is proved; no less where it would hold them worse.
 No more integral action for the gain than the rule gives next to every process (SIMC: Skogestad 2003), for a load that
 comes back by itself looks like a process that does.
 How the spectrum of a load falls is assumed, and in closed loop much of what a record says rests on that (Forssell &
@@ -172,7 +172,7 @@ def by_book(book: Book, gains: PidGains, settings: BookSettings) -> ByBook:
     odds = high if leans < 0 else room if told else 0.0
     sure = odds >= settings.sure_odds and book.records > 0  # a part of a window looks sure too soon
     said = ByBook(numbers, leans, tells_tone=book.tone >= settings.tone)
-    unproved = leans > 0 and float(drawn.weights @ drawn.runs_away) > HALF
+    unproved = leans > 0 and float(drawn.weights @ drawn.runs_away) >= 1.0 - settings.bad_share
     if best is None or not leans or unproved or (leans != book.leans and not sure):
         return said
     if leans < 0 and any(gain(one, gains, best[1], settings)[1] < HALF for one in by_orders):
