@@ -129,7 +129,8 @@ def by_model(found: Findings) -> Outcome:
         return replace(refuted, forget=forget, region_model=None, excitation=None)  # what was known before stays
     choice, proof = worth(found, model, wanted, proof)  # is it expected to cost less than staying?
     if choice.index == 0:
-        code, reason = ONE_RECORD if choice.waits else NOT_WORTH, found.words(choice.reason)
+        code, limits = (ONE_RECORD, ()) if choice.waits else (NOT_WORTH, proof.notes)  # a limit may be what makes it so
+        reason = found.words("; ".join((choice.reason, *limits)))
         return replace(change, code=code, reason=reason, basis=None, proof=None, numbers=choice.numbers)
     prediction = prediction_of_proof(found, proof)
     change = replace(change, proof=proof, numbers=choice.numbers, prediction=prediction)

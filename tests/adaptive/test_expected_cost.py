@@ -350,3 +350,12 @@ def test_small_steps_are_weighed_by_the_way_that_they_are_of() -> None:
     assert len(written) >= 2
     assert all(d.gains_after.kp == pytest.approx(1.1 * d.gains_before.kp) for d in written if d.gains_after)
     assert all("expected: IAE" in d.reason and d.numbers.to_dict()["doubt"] < 0.5 for d in written)
+
+
+@pytest.mark.uncounted
+def test_a_change_that_a_limit_makes_too_small_to_be_worth_it_names_the_limit() -> None:
+    """A loop with a quarter of the gain had "expected benefit 1 %" as its reason, and no word of the limit."""
+    demanded = RetunerSettings(1.0, 10.0, Mode.AUTO, guard=GuardSettings(total_ratio_max=1.05))
+    said = [d.reason for d in Bench(Retuner(table(scaled(0.25, 0.25)), demanded)).exercise(2) if d.code == "not_worth"]
+    assert said
+    assert all("Kc held at" in reason and "Raise total_ratio_max" in reason for reason in said)
