@@ -127,17 +127,16 @@ def by_model(found: Findings) -> Outcome:
         forget = learned.agreement not in ANEW and cause.cause in SWINGING
         refuted = found.unconfirmed(change, doubt)
         return replace(refuted, forget=forget, region_model=None, excitation=None)  # what was known before stays
-    limits = proof.notes
-    choice, proof = worth(found, model, wanted, proof)  # is it expected to cost less than staying?
+    choice, chosen = worth(found, model, wanted, proof)  # is it expected to cost less than staying?
     if choice.index == 0:
-        code, notes = (ONE_RECORD, ()) if choice.waits else (NOT_WORTH, limits)  # a limit may be what makes it so
+        code, notes = (ONE_RECORD, ()) if choice.waits else (NOT_WORTH, proof.notes)  # a limit may be what makes it so
         reason = found.words("; ".join((choice.reason, *notes)))
         return replace(change, code=code, reason=reason, basis=None, proof=None, numbers=choice.numbers)
-    prediction = prediction_of_proof(found, proof)
-    change = replace(change, proof=proof, numbers=choice.numbers, prediction=prediction)
-    if doubt := runaway(found, proof):  # does the process run away by itself, and would the change hold it worse?
+    prediction = prediction_of_proof(found, chosen)
+    change = replace(change, proof=chosen, numbers=choice.numbers, prediction=prediction)
+    if doubt := runaway(found, chosen):  # does the process run away by itself, and would the change hold it worse?
         return found.unconfirmed(change, doubt)
-    return confirmation(found, change, proof, choice.reason, lost)
+    return confirmation(found, change, chosen, choice.reason, lost)
 
 
 def _stays(found: Findings, cause: Diagnosis, learned: Learned) -> Outcome:
