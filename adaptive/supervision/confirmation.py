@@ -191,7 +191,7 @@ def stands(found: Findings) -> bool:
 
 
 def valve_explains_more(window: Window, book: Book, odds: float) -> bool:
-    """Whether a valve that sticks or has play explains all samples by more than these odds (tempered, logarithm)."""
+    """Whether a valve that sticks or has play explains all samples by more than these odds, ln, tempered as loads."""
     return log_odds_of_valve([Prepared.at(window, book.dt_s)], book.direction) > WEIGHT * odds
 
 
