@@ -35,8 +35,6 @@ class SwingSettings:
     unexplained : standard deviations of the noise that a linear fit may leave before its rivals are asked; 1.1 to 3,
         default 1.5.
     lookback : lengths of a response that are looked at with it when its rivals are asked; default 3.
-    load_bands : noise bands that a load response must reach before gains change by it; 2 to 20, default 5 (coloured
-        noise wanders over three now and then).
     fewest_loads : load responses that a change needs where no setpoint step was seen; 1 to 5, default 2.
     same_gains : a stretch ends where other gains ran; False for interpolated tables, whose gains move with the loop.
     restless : share of the samples before a setpoint step outside the noise band, from which the loop was not at rest;
@@ -66,7 +64,6 @@ class SwingSettings:
     most_counted: int = 3
     unexplained: float = 1.5
     lookback: float = 3.0
-    load_bands: float = 5.0
     fewest_loads: int = 2
     same_gains: bool = True
     restless: float = 0.1

@@ -139,13 +139,6 @@ def unconfirmed(
     if not excitation.setpoints and excitation.loads < swing.fewest_loads:
         reason = "one load response is not enough: another one, or a setpoint step, must agree"
         return _unknown(reason, excitation)
-    peak = max((abs(p.e) for p in response.peaks), default=0.0)
-    if not excitation.setpoints and peak < swing.load_bands * response.band:
-        reason = (
-            f"a load response of {peak / response.band:.1f} noise bands is too small to change gains; "
-            f"{swing.load_bands:g} are needed, or a setpoint step"
-        )
-        return _unknown(reason, excitation)
     length_s = response.t_end_s - response.t_start_s
     stretched = stretch(samples, response.t_start_s - swing.most_lookback * length_s, swing.same_gains)
     seen = from_rest(stretched, response, swing)
