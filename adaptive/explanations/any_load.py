@@ -65,7 +65,8 @@ def _left(
     lags = shape.lag, shape.second
     if (engine := compiled()) is not None:
         return np.asarray(engine.any_load(record.pv, record.co, lags, dead_times, gains, spans, ORDER, noise))
-    pv = reduced(record.pv, (pole_of(shape.lag),) if shape.lag < 0 else ())
+    pole = pole_of(shape.lag) if shape.lag < 0 else 0.0
+    pv = reduced(record.pv, (pole,) if pole else ())
     x, time = responses(record.co, shape.lag)[second_lags(shape.lag).index(shape.second)], np.arange(len(pv) - ORDER)
     falls = [time if math.isinf(lag) else pole_of(lag) ** time for lag in lags if lag > 0]
     rest = np.linalg.qr(np.stack([np.ones(len(time)), *falls], axis=1))[0].T
@@ -74,7 +75,8 @@ def _left(
     own, both, by_x = (_products(a, b, rest) for a, b in ((pv[None], pv[None]), (pv[None], late), (late, late)))
     k = gains[:, None, None]
     forms = own[:, None] - k * (both + np.swapaxes(both, 1, 2))[:, None] + k**2 * by_x[:, None]
-    forms = forms[..., ::-1, ::-1] + noise * np.eye(ORDER + 1)  # the sample itself is last: its pivot is left
+    white = (1.0 + pole**2) * np.eye(ORDER + 1) - pole * (np.eye(ORDER + 1, k=1) + np.eye(ORDER + 1, k=-1))
+    forms = forms[..., ::-1, ::-1] + noise * white  # the sample itself is last: its pivot is left
     return np.asarray(np.linalg.cholesky(forms)[..., -1, -1] ** 2)
 
 

@@ -31,7 +31,7 @@
 #include "engine_c/valves.h"
 #include "engine_c/any_load.h"
 
-#define VERSION "13"
+#define VERSION "14"
 
 /* ---------------------------------------------------------------- the door: buffers of numbers, looked at before use */
 

@@ -82,7 +82,7 @@ WIDE static void lay_form(const AnyLoad *w, Py_ssize_t rest, const double *a, co
 }
 
 /* What is left at LANES gains: the last pivot of an elimination, the sample itself after its past. */
-WIDE static void pivots(const Lagged *g, int order, double noise, const double *restrict gains, double *restrict left) {
+WIDE static void pivots(const Lagged *g, int order, const double *restrict gains, double *restrict left) {
     Four column[SIDE][SIDE + TOGETHER][WORDS], over[SIDE][WORDS], row[SIDE][WORDS], gain[WORDS], square[WORDS];
     for (int l = 0; l < WORDS; l++)
         gain[l] = *(const Four *)(gains + l * WIDTH), square[l] = gain[l] * gain[l];
@@ -94,7 +94,7 @@ WIDE static void pivots(const Lagged *g, int order, double noise, const double *
             Four sum[TOGETHER][WORDS];
             for (int r = 0; r < TOGETHER; r++) {
                 int of = i + r < order ? i + r : order;
-                double mine = g->own[of][j] / 2 + (of == j ? noise : 0), two = g->both[of][j], its = g->by_x[of][j] / 2;
+                double mine = g->own[of][j] / 2, two = g->both[of][j], its = g->by_x[of][j] / 2;
                 for (int l = 0; l < WORDS; l++)
                     sum[r][l] = mine - gain[l] * two + square[l] * its;
             }
@@ -139,6 +139,12 @@ static int open_lagged(const AnyLoad *w, Lagged *g) {
     for (int j = 0; j <= w->order; j++)
         g->own[w->order][w->order - j] = 2 * g->at[j][0];
     lay_form(w, g->rest, g->pv, g->pv, g->of_pv, g->of_pv, g->own);
+    double reduced = w->pole > 1 ? w->pole : 0; /* pv is 1 - pole q of what it was, and so is its noise */
+    for (int j = 0; j <= w->order; j++) {
+        g->own[j][j] += 2 * w->noise * (1 + reduced * reduced);
+        if (j)
+            g->own[j][j - 1] -= 2 * w->noise * reduced;
+    }
     return 0;
 }
 
@@ -170,7 +176,7 @@ static void put_gains(const AnyLoad *w, const Lagged *g, Py_ssize_t d) {
         double gains[LANES], found[LANES];
         for (Py_ssize_t l = 0; l < LANES; l++)
             gains[l] = w->gains[at + l < to ? at + l : to - 1];
-        pivots(g, w->order, w->noise, gains, found);
+        pivots(g, w->order, gains, found);
         for (Py_ssize_t l = 0; l < LANES && at + l < to; l++)
             w->left[d * w->gain_count + at + l] = found[l];
     }

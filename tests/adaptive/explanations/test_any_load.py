@@ -15,6 +15,7 @@ from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import Window
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import replace
 
 LAG, LATE, SETTLED = 20.0, 4, 300
 
@@ -104,3 +105,17 @@ def test_a_window_shorter_than_the_past_says_nothing() -> None:
     asked = some((0, 0, 30), (9, 4, 35))
     for samples in (ORDER // 2, 2 * ORDER, 3 * ORDER):
         assert not np.any(log_likelihood_of_answers(drawn_record(2, samples), 1, 1.0, asked)[asked])
+
+
+def test_noise_that_pv_cannot_show_tells_a_process_that_runs_away_from_none() -> None:
+    """Beside a true lag, the noise that is added to a record and the one that its resolution stands for take as much
+    from a process that runs away: a record of large swings had made one of every loop."""
+    record, hidden = drawn_record(3), 0.3
+    noisy = replace(record, pv=record.pv + hidden * np.random.default_rng(4).standard_normal(len(record.pv)))
+    stable, away = (9, 4, 35), (len(shapes()), 4, 35)
+    asked = some(stable, away)
+    leads = []
+    for one in (replace(noisy, resolution=1e-3), replace(record, resolution=hidden)):
+        found = log_likelihood_of_answers(one, 1, 1.0, asked)
+        leads.append(found[away] - found[stable])
+    assert leads[0] == pytest.approx(leads[1], abs=5.0)
