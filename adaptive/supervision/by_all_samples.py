@@ -287,12 +287,13 @@ NEARLY = 0.95  # share of an action down to which it is the same
 
 def _may_speak(found: Findings, own: Outcome, look: Look, seen: AllSamples) -> bool:
     """Whether the case is the book's: the response cannot tell; or the setpoint has told the process, and no clear step
-    has shown a response's model of it.
+    has shown a response's model of it, this one among them.
     """
     record, cause = found.record, own.diagnosis.cause if own.diagnosis is not None else None
     if record.table.lookup is not Lookup.HARD or record.crossed or found.joined:
         return False
-    if own.code not in OPEN and (seen.by_loads or seen.shown or cause in {Cause.STICTION, Cause.NOISE}):
+    not_its = seen.by_loads or seen.shown or found.clear or cause in {Cause.STICTION, Cause.NOISE}
+    if own.code not in OPEN and not_its:
         return False
     stood = cause is Cause.SATURATION  # before the look began, too
     if stood or look.limited > MOST_LIMITED or not may_follow(found.question.trial, found.settings):

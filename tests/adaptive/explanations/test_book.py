@@ -837,6 +837,8 @@ def test_what_the_setpoint_has_told_speaks_beside_any_model_that_no_clear_step_h
     seen = AllSamples(book=replace(begun(), moved=0.0 if by_loads else 1.0), shown=shown)
     look: Any = SimpleNamespace(limited=0.0)
     assert by_all_samples._may_speak(Findings(question), own, look, seen) is speaks
+    shown_now = by_all_samples._may_speak(Findings(question, clear=True), own, look, seen)
+    assert shown_now is (speaks and code in by_all_samples.OPEN), "the response is a clear step by itself"
 
 
 def _follows(
