@@ -15,10 +15,12 @@ there, the answers to the setpoint say, once there are some, whatever the load (
 in what moves the window). Without a tone these answers are judged under a load that wanders (W) as well, which tells
 slow processes better. Both opinions use the same samples, so their weights have the sum 1 (Genest & Zidek 1986).
 
-No window makes anything sure: it may be an odd one, that says nothing. Windows add up on one grid (process_grid.py),
-because gains are counted in a unit, and time in an interval, that stay: those of the loop when its book was begun.
-Before any record each process is as likely as the others on which a loop at work is neither far beyond its limit of
-stability nor idle; those that run away have RUNAWAYS of the odds, shared by the ones that shares of the gains hold.
+No window makes anything sure: it may be an odd one, that says nothing. No process of the grid is the loop's, either:
+what one leaves of a window is not told from noise down to MODEL_ERROR of pv's range. Windows add up on one grid
+(process_grid.py), because gains are counted in a unit, and time in an interval, that stay: those of the loop when its
+book was begun. Before any record each process is as likely as the others on which a loop at work is neither far beyond
+its limit of stability nor idle; those that run away have RUNAWAYS of the odds, shared by those that shares of the gains
+hold.
 
 A window that still grows is weighed anew each time: `whole` is what was known before it. The weights are kept in levels
 of STEP, so a stored book is the same as one that was not. A fade of less than a level waits, by the clock, until it is.
@@ -58,6 +60,7 @@ from retuner.adaptive.explanations.wandering_load import (
     setpoint_share,
     temper,
 )
+from retuner.adaptive.identification.candidate import MODEL_ERROR
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
@@ -225,6 +228,7 @@ def update(book: Book, window: Window, *, hazard_s: float = math.inf, grows: boo
         return book
     last_s, share = float(window.t_s[-1]), 0.0
     record, known = Prepared.at(window, book.dt_s), faded(book, last_s, hazard_s)
+    record = replace(record, resolution=max(record.resolution, MODEL_ERROR * float(np.ptp(record.pv))))
     levels, says = known.whole, len(record.pv) >= FEWEST_SAMPLES and np.ptp(record.pv) > 0 and np.ptp(record.co) > 0
     if says:
         logs, kept = _logs(levels)

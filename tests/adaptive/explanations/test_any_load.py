@@ -119,3 +119,24 @@ def test_noise_that_pv_cannot_show_tells_a_process_that_runs_away_from_none() ->
         found = log_likelihood_of_answers(one, 1, 1.0, asked)
         leads.append(found[away] - found[stable])
     assert leads[0] == pytest.approx(leads[1], abs=5.0)
+
+
+def test_a_process_that_the_grid_lacks_is_not_told_as_the_nearest_of_it() -> None:
+    """Three lags and a lead, overshooting by itself, next to no noise: Ms 1.98 was 1.74 with all of the odds."""
+    lags, lead, late, samples = (81.0, 26.4, 4.2), 108.5, 7, 983
+    gains, keeps = PidGains.from_ideal(1.29, 24.0, 0.0), [math.exp(-1.0 / lag) for lag in lags]
+    parts = [(lag - lead) * lag / math.prod(lag - other for other in lags if other != lag) for lag in lags]
+    sp, noise = (
+        np.where(np.arange(samples) >= 100, 3.0, 0.0),
+        0.0027 * np.random.default_rng(1).standard_normal(samples),
+    )
+    pv, co = np.zeros(samples), np.zeros(samples + late)
+    states, integral = [0.0] * len(lags), 0.0
+    for i in range(samples):
+        pv[i] = sum(part * state for part, state in zip(parts, states, strict=True)) + noise[i]
+        integral += gains.ki * (sp[i] - pv[i])
+        co[i + late] = gains.kp * (sp[i] - pv[i]) + integral
+        states = [keep * state + (1.0 - keep) * co[i] for keep, state in zip(keeps, states, strict=True)]
+    ms = sensitivity_peak(LinearProcess(1.0, lags, (lead,), late + 0.5), gains)
+    drawn = update(Book.begun(gains, 1.0, 0.0), Window(np.arange(samples, dtype=float), sp, pv, co[late:])).drawn(300)
+    assert quantile(drawn.peaks(gains), drawn.weights, 0.5) == pytest.approx(ms, rel=0.05)
