@@ -86,17 +86,13 @@ class StorableNumbers:
             raise ValueError(f"{value} is not a finite number")
         kept = self.zero + round((value - self.zero) / self.step) * self.step if self.step else value
         if self.low <= value <= self.high:
-            kept = self._inside(kept)
+            # The step on the inner side of an end that lies between two steps, or on one but for its last digits
+            for end, inward in ((self.low, self.step), (self.high, -self.step)):
+                if (kept - end) * inward < 0:
+                    kept = end if abs(kept - end) < END_ROUNDING * self.step else kept + inward
         if not self.low <= kept <= self.high:
             raise ValueError(f"{value:.6g} is outside {self.low:g} to {self.high:g}, what the controller can hold")
         return array("f", [kept])[0] if self.single else kept
-
-    def _inside(self, kept: float) -> float:
-        """The step on the inner side of an end that lies between two steps, or on one but for its last digits."""
-        for end, inward in ((self.low, self.step), (self.high, -self.step)):
-            if (kept - end) * inward < 0:
-                kept = end if abs(kept - end) < END_ROUNDING * self.step else kept + inward
-        return kept
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,7 +219,11 @@ class VendorUnits:
                 case Quantity.KI | Quantity.KD:
                     parallel[gain.quantity] = value
         form = SeriesGains if self.series else IdealGains
-        made = form(kc, tau_i, tau_d).to_parallel() if kc else PidGains(0.0, *_only(parallel))
+        made = (
+            form(kc, tau_i, tau_d).to_parallel()
+            if kc
+            else PidGains(0.0, parallel.get(Quantity.KI, 0.0), parallel.get(Quantity.KD, 0.0))
+        )
         return PidGains(made.kp, parallel.get(Quantity.KI, made.ki), parallel.get(Quantity.KD, made.kd))
 
     def rounded(self, gains: PidGains) -> PidGains:
@@ -257,11 +257,6 @@ class VendorUnits:
         if not {Quantity.TN, Quantity.TV, Quantity.REPEATS, Quantity.XP} & {gain.quantity for gain in self.gains}:
             return None
         return to_series(gains) if self.series else to_ideal(gains)
-
-
-def _only(parallel: Mapping[str, float]) -> tuple[float, float]:
-    """ki and kd of a controller without proportional action."""
-    return parallel.get(Quantity.KI, 0.0), parallel.get(Quantity.KD, 0.0)
 
 
 def _wanted(

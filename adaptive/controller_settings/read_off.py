@@ -276,7 +276,28 @@ def settings_in_force(
     if lost:
         return _refused(lost)
     best = best_structure(window, usable, settings.largest_lag)
-    return _judged(best, window, settings)
+    # Settings, or the sentence that says why not
+    percent = f"{max(best.explained, 0.0):.1%}"
+    if best.explained < settings.explained_limit:
+        limit = f"{settings.explained_limit:.0%}"
+        why = "the controller has other inputs, or pv was filtered or compressed before it was recorded"
+        return _refused(f"sp and pv explain only {percent} of co's movement ({limit} needed): {why}", best)
+    if not signs_agree(best.values):
+        return _refused("the terms that explain co act in opposite directions: this is no PID law", best)
+    values, std = _gains(best, window)
+    for name, widest in ((best.main, settings.std_limit), ("ki", 2 * settings.std_limit)):
+        wide = best.doubt(name) if values[name] else 0.0
+        if wide > widest:
+            return _refused(f"{name} is only known to +-{wide:.0%}: too little excitation", best)
+    reason = _disagreement(best, window, settings)
+    if reason:
+        return _refused(reason, best)
+    seen = best.std.get("b_kp", math.inf) < settings.std_limit * abs(values["kp"])
+    weight = best.values["b_kp"] / best.values["kp"] if seen else None
+    count = int(np.sum(best.kept))
+    told = f"the law explains {percent} of the movement of co in {count} samples"
+    gains = PidGains(**values)
+    return SettingsInForce(gains, std, weight, best.structure, best.explained, count, told, gains.direction)
 
 
 def _compressed(window: Window, usable: BoolArray, settings: LawSettings) -> str:
@@ -309,31 +330,6 @@ def _refused(reason: str, found: Regression | None = None) -> SettingsInForce:
     direction = int(math.copysign(1, found.values[found.main])) if sure and agree else None
     rough = PidGains(**{name: found.values.get(name, 0.0) for name in ("kp", "ki", "kd")}) if direction else None
     return SettingsInForce(None, {}, None, found.structure, max(found.explained, 0.0), kept, reason, direction, rough)
-
-
-def _judged(found: Regression, window: Window, settings: LawSettings) -> SettingsInForce:
-    """Settings, or the sentence that says why not."""
-    percent = f"{max(found.explained, 0.0):.1%}"
-    if found.explained < settings.explained_limit:
-        limit = f"{settings.explained_limit:.0%}"
-        why = "the controller has other inputs, or pv was filtered or compressed before it was recorded"
-        return _refused(f"sp and pv explain only {percent} of co's movement ({limit} needed): {why}", found)
-    if not signs_agree(found.values):
-        return _refused("the terms that explain co act in opposite directions: this is no PID law", found)
-    values, std = _gains(found, window)
-    for name, widest in ((found.main, settings.std_limit), ("ki", 2 * settings.std_limit)):
-        wide = found.doubt(name) if values[name] else 0.0
-        if wide > widest:
-            return _refused(f"{name} is only known to +-{wide:.0%}: too little excitation", found)
-    reason = _disagreement(found, window, settings)
-    if reason:
-        return _refused(reason, found)
-    seen = found.std.get("b_kp", math.inf) < settings.std_limit * abs(values["kp"])
-    weight = found.values["b_kp"] / found.values["kp"] if seen else None
-    count = int(np.sum(found.kept))
-    told = f"the law explains {percent} of the movement of co in {count} samples"
-    gains = PidGains(**values)
-    return SettingsInForce(gains, std, weight, found.structure, found.explained, count, told, gains.direction)
 
 
 def _gains(found: Regression, window: Window) -> tuple[dict[str, float], dict[str, float]]:

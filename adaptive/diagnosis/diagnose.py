@@ -267,11 +267,9 @@ def _loop_or_tone_or_valve(
         return RecordVerdict(pv_stands_verdict(stood, evidence), fits=fits)
     told = linear_verdict(window, gains, found, evidence, fits, seen.oscillates, settings)
     tone = fits.get("external")
-    return told if tone is None else _by_tone(told, tone, settings)
-
-
-def _by_tone(told: RecordVerdict, tone: Candidate, settings: DiagnosisSettings) -> RecordVerdict:
-    """External, where the loop by itself leaves the cause open and a tone that goes on explains the record as well."""
+    if tone is None:
+        return told
+    # External, where the loop by itself leaves the cause open and a tone that goes on explains the record as well
     record = tone.fit.misfit.record
     period_s = tone_period_s(tone)
     if told.diagnosis.cause != Cause.UNKNOWN or residual(tone) > settings.tone_explains:

@@ -58,7 +58,14 @@ def external(fit: Candidate, frequencies: list[float], most_loads: int) -> Candi
         found.append(judged(refine(base, np.append(fit.fit.p if base.loads else x, np.log(w)))))
         starts = (x, weak) if base.loads else (weak,)  # without loads the first is the one above
         found += [judged(refine(plain, np.append(start, np.log(w)))) for start in starts]
-        found.append(judged(refine(*_afresh(plain, w))))
+        # and afresh, from a grid of first-order processes: load steps bought instead of the tone lead one astray
+        record, misfit = plain.record, replace(plain, type=ProcessType.FOPDT)
+        dt, usual = record.sample_time_s, record.pv_range / (record.co_range or 1.0)
+        points = [
+            np.array([np.log(gain * usual / (lag * dt)), np.log(theta * dt), np.log(lag * dt), np.log(w)])
+            for lag, theta, gain in product(FRESH_LAGS, FRESH_THETAS, FRESH_GAINS)
+        ]
+        found.append(judged(refine(misfit, points[int(np.argmin(misfit.costs(points)))])))
     best = improved(min(found, key=lambda c: c.criterion), most_loads, CandidateList(found))
     plainer = judged(refine(replace(best.fit.misfit, harmonics=SINUSOID), best.fit.p))
     return min(best, plainer, key=lambda c: c.criterion)
@@ -90,20 +97,6 @@ FRESH_LAGS = (2.0, 8.0, 30.0, 120.0)
 FRESH_THETAS = (1.0, 4.0, 16.0)
 """Samples in the lag and dead time that a process beside a tone is looked for with."""
 FRESH_GAINS = (0.1, 0.3, 1.0, 3.0)  # gains tried for a process beside a tone, in ranges of pv over ranges of co
-
-
-def _afresh(plain: Misfit, w: float) -> tuple[Misfit, FloatArray]:
-    """A first-order process beside a tone, from a grid: load steps bought instead of the tone lead the process astray.
-
-    plain : without load steps. w : of the tone, rad/s.
-    """
-    record, misfit = plain.record, replace(plain, type=ProcessType.FOPDT)
-    dt, usual = record.sample_time_s, record.pv_range / (record.co_range or 1.0)
-    points = [
-        np.array([np.log(gain * usual / (lag * dt)), np.log(theta * dt), np.log(lag * dt), np.log(w)])
-        for lag, theta, gain in product(FRESH_LAGS, FRESH_THETAS, FRESH_GAINS)
-    ]
-    return misfit, points[int(np.argmin(misfit.costs(points)))]
 
 
 def moves_pv(tone: Candidate | None, evidence: Mapping[str, float], settings: DiagnosisSettings) -> bool:

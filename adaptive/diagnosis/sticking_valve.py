@@ -10,7 +10,7 @@ it leaves more, a valve may leave somewhat more still, because its stick band di
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -65,7 +65,16 @@ def stiction_or_tone(best: Candidate, seen: Screening, settings: DiagnosisSettin
     )
     most = settings.fit.choice.most_loads
     valve = sticking(best, period_s, most)
-    tone = external(best, _frequencies(best, _periods(valve, period_s)), most)
+    # Where to look for a tone, rad/s: at periods that were seen, and at the peak of what the linear fit leaves
+    record = best.fit.misfit.record
+    found: list[float] = []
+    for w in (
+        *(2 * math.pi / p for p in _periods(valve, period_s)),
+        peak_frequency(record.pv - best.fit.explained, record.sample_time_s),
+    ):
+        if all(abs(math.log(w / other)) > SAME_TONE for other in found):
+            found.append(w)
+    tone = external(best, found, most)
     if valve.fit.criterion < best.criterion and residual(tone) > settings.tone_explains:
         tone = sharper(tone)
     evidence = dict(seen.evidence) | {
@@ -119,7 +128,19 @@ def regular_stiction_verdict(
     if leads[cause] < needed or (cause == Cause.EXTERNAL and not repeats):
         return None
     if tone_left > settings.rival_explains and cause == Cause.EXTERNAL:
-        return _neither(evidence, settings)
+        # Neither a tone nor a valve of one stick band: shapes may still tell an irregular valve
+        left = min(evidence["external_left"], evidence["stuck_left"])
+        if evidence.get("triangle_co", 0.0) >= TRIANGLE and evidence.get("jump_share", 0.0) >= settings.jump_share:
+            reason = (
+                "co is a triangle wave and pv moves in jumps: a sticking valve with a varying stiction band; "
+                f"no single band explains the record (residual {left:.1f} times the noise)"
+            )
+            return Diagnosis(Cause.STICTION, 0.6, evidence, reason)
+        reason = (
+            "what moves pv is explained neither by the loop, nor by an external sinusoid, nor by a sticking valve; "
+            f"the residual is at least {left:.1f} times the noise"
+        )
+        return Diagnosis(Cause.UNKNOWN, 0.5, evidence, reason)
     # what wanders always holds some sinusoid that takes two percent of it (real flow loops: 1.30 times the noise, 1.33)
     helps = tone_left <= settings.tone_explains or tone_left < settings.tone_as_good * evidence["linear_left"]
     if cause == Cause.EXTERNAL and not (helps and moves_pv(tone, evidence, settings)):
@@ -138,22 +159,6 @@ def handicap(evidence: dict[str, float], settings: DiagnosisSettings) -> float:
     if shape >= TRIANGLE:
         return settings.stuck_handicap_triangle
     return 1.0 if shape <= SINE else settings.stuck_handicap
-
-
-def _neither(evidence: dict[str, float], settings: DiagnosisSettings) -> Diagnosis:
-    """Neither a tone nor a valve of one stick band: shapes may still tell an irregular valve."""
-    left = min(evidence["external_left"], evidence["stuck_left"])
-    if evidence.get("triangle_co", 0.0) >= TRIANGLE and evidence.get("jump_share", 0.0) >= settings.jump_share:
-        reason = (
-            "co is a triangle wave and pv moves in jumps: a sticking valve with a varying stiction band; "
-            f"no single band explains the record (residual {left:.1f} times the noise)"
-        )
-        return Diagnosis(Cause.STICTION, 0.6, evidence, reason)
-    reason = (
-        "what moves pv is explained neither by the loop, nor by an external sinusoid, nor by a sticking valve; "
-        f"the residual is at least {left:.1f} times the noise"
-    )
-    return Diagnosis(Cause.UNKNOWN, 0.5, evidence, reason)
 
 
 def _reason(cause: Cause, tone: Candidate, valve: Sticking, evidence: dict[str, float]) -> str:
@@ -284,16 +289,3 @@ def _periods(valve: Sticking, period_s: float) -> list[float]:
     if len(turns) < 2 * FEWEST_CYCLES:
         return [period_s]
     return [period_s, 2 * float(turns[-1] - turns[0]) / (len(turns) - 1)]
-
-
-def _frequencies(best: Candidate, periods_s: Sequence[float]) -> list[float]:
-    """Where to look for a tone, rad/s: at periods that were seen, and at the peak of what the linear fit leaves."""
-    record = best.fit.misfit.record
-    found: list[float] = []
-    for w in (
-        *(2 * math.pi / p for p in periods_s),
-        peak_frequency(record.pv - best.fit.explained, record.sample_time_s),
-    ):
-        if all(abs(math.log(w / other)) > SAME_TONE for other in found):
-            found.append(w)
-    return found

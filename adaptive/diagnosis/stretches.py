@@ -70,7 +70,9 @@ def over_time(parts: list[Window], found: list[RecordVerdict]) -> RecordVerdict:
     names another cause.
     """
     causes = [f.diagnosis.cause for f in found]
-    told = _told(causes, parts)
+    # The causes with their times, neighbours of one cause together
+    runs = [(cause, [p for _, p in some]) for cause, some in groupby(zip(causes, parts, strict=True), itemgetter(0))]
+    told = ", ".join(f"{cause} from {some[0].t_s[0]:.7g} to {some[-1].t_s[-1]:.7g} s" for cause, some in runs)
     named = Counter(c for c in causes if c not in OPEN)
     cause, count = (named or Counter(causes)).most_common(1)[0]
     if count == 1:
@@ -83,12 +85,6 @@ def over_time(parts: list[Window], found: list[RecordVerdict]) -> RecordVerdict:
     nothing_new = set(causes) == {Cause.UNKNOWN}
     verdict = best.diagnosis if nothing_new else replace(best.diagnosis, reason=f"{best.diagnosis.reason} ({told})")
     return replace(best, diagnosis=verdict, fits={})
-
-
-def _told(causes: list[Cause], parts: list[Window]) -> str:
-    """The causes with their times, neighbours of one cause together."""
-    runs = [(cause, [p for _, p in some]) for cause, some in groupby(zip(causes, parts, strict=True), itemgetter(0))]
-    return ", ".join(f"{cause} from {some[0].t_s[0]:.7g} to {some[-1].t_s[-1]:.7g} s" for cause, some in runs)
 
 
 OPEN = frozenset({Cause.UNKNOWN, Cause.NOISE})  # answers that leave open what the loop does when something happens

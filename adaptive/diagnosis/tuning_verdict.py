@@ -232,7 +232,14 @@ def _with_settings(loop: JudgedLoop, found: RecordVerdict, asked: bool) -> Recor
         if not asked:
             return _torn(loop, found, other.log.model(), unsure)
     if not unsure:
-        return _first_step(loop, found)
+        assert found.tuning is not None
+        verdict = found.diagnosis
+        events = verdict.evidence.get("setpoint_steps", 0.0) + verdict.evidence["loads"]
+        step = first_step(found.tuning, loop.gains, events, estimate.log.model(), loop.window.sample_time_s)
+        if step is None:
+            return found  # no farther at once than the record carries
+        told = replace(verdict, reason=f"{verdict.reason}; {step.sentence}")
+        return replace(found, diagnosis=told, tuning=step.now, aim=step.aim)
     slow = _slow_oscillation(loop, found)
     if slow is not None:
         return slow
@@ -295,19 +302,6 @@ def _open(found: RecordVerdict, why: str) -> RecordVerdict:
     told = "loads are rejected more slowly than necessary" if slow else found.diagnosis.reason
     reason = f"{told}. No settings: {why}"
     return replace(found, diagnosis=replace(found.diagnosis, reason=reason, settled=False), tuning=None)
-
-
-def _first_step(loop: JudgedLoop, found: RecordVerdict) -> RecordVerdict:
-    """No farther at once than the record carries."""
-    estimate, verdict = found.estimate, found.diagnosis
-    assert estimate is not None
-    assert found.tuning is not None
-    events = verdict.evidence.get("setpoint_steps", 0.0) + verdict.evidence["loads"]
-    step = first_step(found.tuning, loop.gains, events, estimate.log.model(), loop.window.sample_time_s)
-    if step is None:
-        return found
-    told = replace(verdict, reason=f"{verdict.reason}; {step.sentence}")
-    return replace(found, diagnosis=told, tuning=step.now, aim=step.aim)
 
 
 def second_opinion(loop: JudgedLoop, verdict: Diagnosis) -> bool:
@@ -377,7 +371,15 @@ def _tone_doubt(loop: JudgedLoop, evidence: Mapping[str, float], explained: bool
     as_good = settings.tone_as_good if evidence.get("setpoint_steps", 0.0) else settings.tone_as_good_loads
     may_be_asked = explained and lead < min(settings.least_lead, settings.tone_odds)
     if lead > -settings.tone_odds and evidence["external_left"] < as_good * evidence["linear_left"]:
-        return _by_tone_instead(loop, evidence, may_be_asked)
+        assert loop.tone is not None
+        period_s = 2 * math.pi / math.exp(float(loop.tone.fit.p[-1]))
+        if loop.tone.fit.misfit.record.span_s >= settings.tone_cycles * period_s:  # fewer cycles are a load's
+            reason = "load steps explain the record, but an external oscillation explains it better"
+            return Doubt(Cause.EXTERNAL, reason, may_be_asked)
+        reason = (
+            f"load steps explain the record; a swing of {period_s:.3g} s does it better, too short to tell its cause"
+        )
+        return Doubt(Cause.UNKNOWN, reason + _overshoots(evidence, settings), may_be_asked)
     if lead > 0:
         reason = "load steps explain the record, and an external oscillation does so about as well"
         return Doubt(Cause.UNKNOWN, reason + _overshoots(evidence, settings), may_be_asked)
@@ -394,17 +396,6 @@ def by_coincidence(evidence: Mapping[str, float]) -> float:
     """
     ms = evidence.get("ms", 1.0)
     return 2.0 * math.log(ms) if math.isfinite(ms) and not evidence.get("setpoint_steps") else 0.0
-
-
-def _by_tone_instead(loop: JudgedLoop, evidence: Mapping[str, float], may_be_asked: bool) -> Doubt:
-    """External, where a tone that goes on explains a record better; with few cycles it is a load like any other."""
-    assert loop.tone is not None
-    period_s = 2 * math.pi / math.exp(float(loop.tone.fit.p[-1]))
-    if loop.tone.fit.misfit.record.span_s >= loop.settings.tone_cycles * period_s:
-        reason = "load steps explain the record, but an external oscillation explains it better"
-        return Doubt(Cause.EXTERNAL, reason, may_be_asked)
-    reason = f"load steps explain the record; a swing of {period_s:.3g} s does it better, too short to tell its cause"
-    return Doubt(Cause.UNKNOWN, reason + _overshoots(evidence, loop.settings), may_be_asked)
 
 
 def _overshoots(evidence: Mapping[str, float], settings: DiagnosisSettings) -> str:
@@ -517,13 +508,7 @@ def weighed(
     calms = less > max(others, default=0.0)
     key = max((one for one in weights if one[0] is calms), key=lambda one: weights[one])
     told = replace(firsts[key], confidence=(less if calms else weights[key]) / every)
-    return _if_dead_time_is_seen(told, estimate, sample_time_s, settings)
-
-
-def _if_dead_time_is_seen(
-    told: Diagnosis, estimate: ModelEstimate, sample_time_s: float, settings: CauseSettings
-) -> Diagnosis:
-    """Without how much faster a robust loop could be, where that depends on a dead time that no model shows."""
+    # Without how much faster a robust loop could be, where that depends on a dead time that no model shows
     if told.cause not in TUNING_CAUSES or told.evidence["ms"] > settings.ms_high:
         return told
     least = FEWEST_SAMPLES_IN_THETA * sample_time_s

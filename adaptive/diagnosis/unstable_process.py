@@ -90,7 +90,16 @@ def unstable_process(window: Window, law: SampledLaw) -> UnstableProcess | None:
             return None
         fit, most = _Fit(part, law), len(part) * (EXPLAINED * noise) ** 2
         best = (math.inf, np.empty(0), math.inf)
-        for start in _starts(fit):
+        # The likeliest first guesses of ln k', ln theta, ln tau and the pole, by the time pv takes for half the step
+        half_s = fit.law.dt_s * (int(np.argmax(fit.pv >= HALF)) + 1)
+        guessed = [
+            np.array(
+                [math.log(strength / (abs(fit.law.gains.kp) * half_s)), math.log(dead * half_s), lag, pole / half_s]
+            )
+            for dead, strength, share, pole in product(DEAD, STRENGTHS, LAGS, POLES)
+            for lag in [math.log(share * half_s)]
+        ]
+        for start in sorted(guessed, key=lambda x: float(np.sum(fit.left(x) ** 2)))[:STARTS]:
             cost, x, std = fit.refined(start)
             if cost <= most and x[3] > SIGMAS * std:  # one that does not run away explains it
                 return None
@@ -127,17 +136,6 @@ def _one_step(window: Window) -> tuple[int, float] | None:
         return None
     at = int(moves[0]) + 1
     return (at, float(window.sp[at] - window.sp[at - 1])) if len(window.sp) - at >= FEWEST_STEP_SAMPLES else None
-
-
-def _starts(fit: "_Fit") -> list[FloatArray]:
-    """The likeliest first guesses of ln k', ln theta, ln tau and the pole, by the time pv takes for half the step."""
-    half_s = fit.law.dt_s * (int(np.argmax(fit.pv >= HALF)) + 1)
-    guessed = [
-        np.array([math.log(strength / (abs(fit.law.gains.kp) * half_s)), math.log(dead * half_s), lag, pole / half_s])
-        for dead, strength, share, pole in product(DEAD, STRENGTHS, LAGS, POLES)
-        for lag in [math.log(share * half_s)]
-    ]
-    return sorted(guessed, key=lambda x: float(np.sum(fit.left(x) ** 2)))[:STARTS]
 
 
 HALF = 0.5

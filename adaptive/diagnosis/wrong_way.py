@@ -30,7 +30,13 @@ MOST_LOADS = 1  # load steps that it may need: what goes the wrong way runs away
 def acts_wrong_way(window: Window, direction: int, settings: FitSettings) -> Diagnosis | None:
     """The verdict, where the record shows it. direction : of the controller, the sign of its gain."""
     window = _while_co_moved(window)
-    if not _runs_away(window, direction) or too_few(window):
+    # Whether the error grows, and co moves against it as a controller of that direction does, farther and farther
+    error, part = window.sp - window.pv, max(len(window.pv) // PARTS, 2)
+    end = float(np.mean(error[-part:]))
+    before = float(np.sqrt(np.mean(error[:part] ** 2)))
+    moved = float(np.mean(window.co[-part:]) - np.mean(window.co[:part]))
+    grown = abs(end) > RUNS * before and abs(end) > SIGMAS * noise_sigma(window.pv)
+    if not (grown and moved * end * direction > 0) or too_few(window):
         return None
     few = replace(settings, choice=replace(settings.choice, seeded_loads=MOST_LOADS, most_loads=MOST_LOADS))
     if _lead(window, direction, few) is None:  # the other sign may use no more load steps; its own only gains by them
@@ -63,16 +69,6 @@ def _while_co_moved(window: Window) -> Window:
     if kept >= len(window.co) or kept < LEAST_SAMPLES:
         return window
     return window.part(slice(kept))
-
-
-def _runs_away(window: Window, direction: int) -> bool:
-    """Whether the error grows, and co moves against it as a controller of that direction does, farther and farther."""
-    error, part = window.sp - window.pv, max(len(window.pv) // PARTS, 2)
-    end = float(np.mean(error[-part:]))
-    before = float(np.sqrt(np.mean(error[:part] ** 2)))
-    moved = float(np.mean(window.co[-part:]) - np.mean(window.co[:part]))
-    grown = abs(end) > RUNS * before and abs(end) > SIGMAS * noise_sigma(window.pv)
-    return grown and moved * end * direction > 0
 
 
 def _best(window: Window, sign: int, settings: FitSettings) -> Candidate:

@@ -117,7 +117,26 @@ def relay_cycle(window: Window, hysteresis: float = 0.0) -> RelayCycle:
     if not (math.isfinite(hysteresis) and hysteresis >= 0):
         raise ValueError(f"hysteresis = {hysteresis}: give 0 or a positive number of pv units")
     upper = _levels(window.co)
-    waves = _waves(window, _full_waves(window.t_s, upper), hysteresis)
+    # First and last sample of each full wave of usual duration
+    switches = np.flatnonzero(np.diff(upper.astype(np.int8))) + 1
+    if len(switches) < 2 * FEWEST_WAVES + 2:
+        raise ValueError(
+            f"the relay switches {len(switches)} times, {2 * FEWEST_WAVES + 2} are needed at least: "
+            "record longer, or see whether its sign and size let pv cross the reference"
+        )
+    # indices into switches at which a full wave of usual duration begins, without the first half-wave
+    times = window.t_s[switches]
+    halves = np.diff(times)
+    middle = median(halves[1:] + halves[:-1])
+    kept = []
+    for i in range(1, len(switches) - 2):
+        usual = all(h > middle / SHORT_HALF for h in halves[i : i + 2])
+        wave = float(times[i + 2] - times[i])
+        if usual and middle / ODD_WAVE < wave < middle * ODD_WAVE:
+            kept.append(i)
+    if len(kept) < FEWEST_WAVES:
+        raise ValueError("no two waves of the relay are alike; not a limit cycle yet: record longer")
+    waves = _waves(window, [(int(switches[i]), int(switches[i + 2])) for i in kept], hysteresis)
     co_high, co_low = median(window.co[upper]), median(window.co[~upper])
     d = (co_high - co_low) / 2
     point = _fundamental(window, waves.spans)
@@ -158,29 +177,6 @@ def relay_cycle(window: Window, hysteresis: float = 0.0) -> RelayCycle:
         gain=abs(point),
         phase_deg=math.degrees(cmath.phase(point)) % 360 - 360,
     )
-
-
-def _full_waves(t_s: FloatArray, upper: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> list[tuple[int, int]]:
-    """First and last sample of each full wave of usual duration."""
-    switches = np.flatnonzero(np.diff(upper.astype(np.int8))) + 1
-    if len(switches) < 2 * FEWEST_WAVES + 2:
-        raise ValueError(
-            f"the relay switches {len(switches)} times, {2 * FEWEST_WAVES + 2} are needed at least: "
-            "record longer, or see whether its sign and size let pv cross the reference"
-        )
-    # indices into switches at which a full wave of usual duration begins, without the first half-wave
-    times = t_s[switches]
-    halves = np.diff(times)
-    middle = median(halves[1:] + halves[:-1])
-    kept = []
-    for i in range(1, len(switches) - 2):
-        usual = all(h > middle / SHORT_HALF for h in halves[i : i + 2])
-        wave = float(times[i + 2] - times[i])
-        if usual and middle / ODD_WAVE < wave < middle * ODD_WAVE:
-            kept.append(i)
-    if len(kept) < FEWEST_WAVES:
-        raise ValueError("no two waves of the relay are alike; not a limit cycle yet: record longer")
-    return [(int(switches[i]), int(switches[i + 2])) for i in kept]
 
 
 def _waves(window: Window, spans: list[tuple[int, int]], hysteresis: float) -> _Waves:

@@ -233,7 +233,21 @@ def with_one_more(smaller: Fit, type_: ProcessType) -> Fit:
     misfit = replace(smaller.misfit, type=type_)
     if type_ in THIRD:  # also a pair of poles that swings in the place of dead time and second lag, behind the long one
         points = [*_out_of_dead_time(smaller, THIRD_SHARES, THIRD[type_]), behind_a_lag(smaller, misfit)]
-        return _sorted(refine(misfit, points[int(np.argmin(misfit.costs(points)))]))
+        fit = refine(misfit, points[int(np.argmin(misfit.costs(points)))])
+        # the shortest of three real lags becomes the third, so that records of one process say the same
+        x = fit.x
+        total, c2, third = (math.exp(x[place[type_]]) for place in (LAG, SECOND, THIRD))
+        root = 1 - 4 * c2 / total
+        if root < 0:
+            return fit
+        long = total * (1 + math.sqrt(root)) / 2
+        short = total - long
+        if third <= short:
+            return fit
+        pair, p = long + third, fit.p.copy()
+        p[SLOPE] += math.log(total / pair)
+        p[LAG[type_]], p[SECOND[type_]], p[THIRD[type_]] = (math.log(v) for v in (pair, long * third / pair, short))
+        return refine(fit.misfit, np.clip(p, *bounds(fit.misfit)))
     points = _leading(smaller) if leads(type_) else _out_of_dead_time(smaller, INVERSE_SHARES, INVERSE[type_])
     order = np.argsort(misfit.costs(points), kind="stable")[:ZERO_STARTS]
     return min((refine(misfit, points[i]) for i in order), key=lambda f: f.deviance)
@@ -277,23 +291,6 @@ def behind_a_lag(smaller: Fit, misfit: Misfit) -> FloatArray:
     times = np.maximum(smaller.p[d : d + loads] - theta * THIRD_SHARES[-1], 0.0)
     low, high = bounds(misfit)
     return np.asarray(np.clip(np.concatenate([x, times, smaller.p[d + loads :]]), low, high), dtype=np.float64)
-
-
-def _sorted(fit: Fit) -> Fit:
-    """The points with the shortest of three real lags as the third, so that records of one process say the same."""
-    type_, x = fit.misfit.type, fit.x
-    total, c2, third = (math.exp(x[place[type_]]) for place in (LAG, SECOND, THIRD))
-    root = 1 - 4 * c2 / total
-    if root < 0:
-        return fit
-    long = total * (1 + math.sqrt(root)) / 2
-    short = total - long
-    if third <= short:
-        return fit
-    pair, p = long + third, fit.p.copy()
-    p[SLOPE] += math.log(total / pair)
-    p[LAG[type_]], p[SECOND[type_]], p[THIRD[type_]] = (math.log(v) for v in (pair, long * third / pair, short))
-    return refine(fit.misfit, np.clip(p, *bounds(fit.misfit)))
 
 
 def _insert(smaller: Fit, type_: ProcessType, x: FloatArray, c2: float) -> FloatArray:

@@ -134,7 +134,16 @@ def _pairs(border: NeighbourBorder, own: Sequence[Plausible]) -> list[tuple[Proc
 
 
 def _between(pair: tuple[ProcessModel, ProcessModel], border: NeighbourBorder, share: float) -> ProcessModel | None:
-    return _inside(pair, border, share) if border.beside else between_models(*pair, share)
+    if border.beside:
+        # The process inside a square of four cells, on its diagonal; between the two corners where a side is unknown
+        here, there = pair
+        one, two = (cell.model for cell in border.beside)
+        if one is not None and two is not None:
+            sides = between_models(here, one, share), between_models(two, there, share)
+            if sides[0] is not None and sides[1] is not None:
+                return between_models(sides[0], sides[1], share)
+        return between_models(here, there, share)
+    return between_models(*pair, share)
 
 
 def likeliest_between(border: NeighbourBorder, own: ProcessModel, share: float) -> ProcessModel:
@@ -154,17 +163,6 @@ def mixed(gains: PidGains, border: NeighbourBorder, share: float) -> PidGains:
     return PidGains(*(sum(w * getattr(one, name) for one, w in shares) for name in GAIN_NAMES))
 
 
-def _inside(pair: tuple[ProcessModel, ProcessModel], border: NeighbourBorder, share: float) -> ProcessModel | None:
-    """The process inside a square of four cells, on its diagonal; between the two corners where a side is unknown."""
-    here, there = pair
-    one, two = (cell.model for cell in border.beside)
-    if one is not None and two is not None:
-        sides = between_models(here, one, share), between_models(two, there, share)
-        if sides[0] is not None and sides[1] is not None:
-            return between_models(sides[0], sides[1], share)
-    return between_models(here, there, share)
-
-
 def between_models(one: ProcessModel, other: ProcessModel, share: float) -> ProcessModel | None:
     """The process between two: see the head of this file; None where a structure is not one that a fit can have."""
     kinds = {ProcessType.FOPDT, ProcessType.SOPDT, ProcessType.INTEGRATING, ProcessType.INTEGRATING_LAG}
@@ -172,25 +170,8 @@ def between_models(one: ProcessModel, other: ProcessModel, share: float) -> Proc
     if not {one.type, other.type} <= kinds or one.k * other.k < 0:
         return None
     a, b = _numbers(one), _numbers(other)
-    slope, theta, c2, c0 = (_mean(x, y, share) for x, y in zip(a, b, strict=True))
-    return _model(math.copysign(slope, one.k), theta, c2, c0)
-
-
-def _numbers(model: ProcessModel) -> tuple[float, float, float, float]:
-    """|k'|, theta, c2 and 1/T of k' e^(-theta s) / (c2 s^2 + s + 1/T)."""
-    if not model.tau1_s:
-        return abs(model.k), model.theta_s, model.tau2_s, 0.0
-    total = 2 * model.zeta * model.tau1_s if model.zeta < 1 else model.tau1_s + model.tau2_s
-    return abs(model.k) / total, model.theta_s, model.tau1_s * model.tau2_s / total, 1 / total
-
-
-def _mean(a: float, b: float, share: float) -> float:
-    """Mean of two numbers, in their logarithms where both have one."""
-    return a ** (1 - share) * b**share if a and b else a * (1 - share) + b * share
-
-
-def _model(slope: float, theta: float, c2: float, c0: float) -> ProcessModel:
-    """The model of these numbers: the inverse of _numbers."""
+    size, theta, c2, c0 = (_mean(x, y, share) for x, y in zip(a, b, strict=True))
+    slope = math.copysign(size, one.k)
     if not c0:
         type_ = ProcessType.INTEGRATING_LAG if c2 else ProcessType.INTEGRATING
         return ProcessModel(type_, slope, 0.0, c2, theta)
@@ -204,6 +185,19 @@ def _model(slope: float, theta: float, c2: float, c0: float) -> ProcessModel:
         return replace(plain, type=ProcessType.SOPDT, tau1_s=tau, tau2_s=tau, zeta=min(total / (2 * tau), 1.0))
     tau1 = total * (1 + math.sqrt(root)) / 2
     return replace(plain, type=ProcessType.SOPDT, tau1_s=tau1, tau2_s=min(c2 * total / tau1, tau1))
+
+
+def _numbers(model: ProcessModel) -> tuple[float, float, float, float]:
+    """|k'|, theta, c2 and 1/T of k' e^(-theta s) / (c2 s^2 + s + 1/T)."""
+    if not model.tau1_s:
+        return abs(model.k), model.theta_s, model.tau2_s, 0.0
+    total = 2 * model.zeta * model.tau1_s if model.zeta < 1 else model.tau1_s + model.tau2_s
+    return abs(model.k) / total, model.theta_s, model.tau1_s * model.tau2_s / total, 1 / total
+
+
+def _mean(a: float, b: float, share: float) -> float:
+    """Mean of two numbers, in their logarithms where both have one."""
+    return a ** (1 - share) * b**share if a and b else a * (1 - share) + b * share
 
 
 # What runs at the far places of a region, where the process is no longer its own.

@@ -86,28 +86,20 @@ def limit_checks(
     urgent : no limit per change towards less action, nor on tau_I. factor : one limit per change for all, in place of
         the settings'.
     """
-    return [
-        *_steps(request.in_force, gains, settings, urgent, factor),
-        *_totals(request, gains, settings, over_limit),
-        *_absolute(request, gains, settings),
-    ]
-
-
-def _steps(old: PidGains, new: PidGains, s: GuardSettings, urgent: bool, factor: float | None) -> list[Check]:
     found = []
-    before, after = logs(old), logs(new)
+    before, after = logs(request.in_force), logs(gains)
     for parameter in Parameter:
         if parameter not in before or parameter not in after:
             continue
         way = after[parameter] - before[parameter]
         more = (way > 0) == MORE_WHEN_LARGER[parameter]
-        alone = urgent or not (old.kp and new.kp)
-        limit = step_limit(parameter, more=more, settings=s, alone=alone) if factor is None else factor
+        alone = urgent or not (request.in_force.kp and gains.kp)
+        limit = step_limit(parameter, more=more, settings=settings, alone=alone) if factor is None else factor
         limit = math.inf if urgent and (not more or parameter is Parameter.TAU_I) else limit
         value = math.exp(abs(way))
         words = f"factor of {parameter} in one change, towards {'more' if more else 'less'} control action"
         found.append(Check(f"step_{parameter.name.lower()}", words, value, limit, value <= limit * (1 + ROUNDING)))
-    return found
+    return [*found, *_totals(request, gains, settings, over_limit), *_absolute(request, gains, settings)]
 
 
 def _totals(request: ChangeRequest, new: PidGains, s: GuardSettings, over_limit: bool) -> list[Check]:

@@ -286,7 +286,10 @@ def _inside(case: _Case, candidate: Goal) -> Iterator[Goal]:
     """
     request = case.request
     for short in SHORT_OF_LIMIT if request.units is not None else (1.0,):
-        nearer = _between(request.in_force, candidate.gains, short)
+        old, nearer = request.in_force, candidate.gains
+        if short != 1.0:
+            pairs = ((old.kp, nearer.kp), (old.ki, nearer.ki), (old.kd, nearer.kd))
+            nearer = PidGains(*(o + short * (n - o) for o, n in pairs))
         gains = request.rounded(without_short_derivative(nearer, request, case.settings))
         if gains is None:
             continue
@@ -296,13 +299,6 @@ def _inside(case: _Case, candidate: Goal) -> Iterator[Goal]:
         if failed is None:
             yield replace(candidate, gains=gains)
             return
-
-
-def _between(old: PidGains, new: PidGains, share: float) -> PidGains:
-    if share == 1.0:
-        return new
-    pairs = ((old.kp, new.kp), (old.ki, new.ki), (old.kd, new.kd))
-    return PidGains(*(o + share * (n - o) for o, n in pairs))
 
 
 def _safe_direction(case: _Case, gains: PidGains, aim: PidGains) -> bool:

@@ -45,7 +45,13 @@ def by_region(window: Window, by: FloatArray, bounds: Sequence[float]) -> tuple[
     edges = np.asarray(bounds, dtype=np.float64)
     if not len(edges) or not np.all(np.isfinite(edges)) or np.any(np.diff(edges) <= 0):
         raise ValueError(f"boundaries {', '.join(f'{b:g}' for b in bounds) or 'none'}: give finite ones that increase")
-    at = _places(by, edges, CROSSED * noise_sigma(by))
+    margin, now = CROSSED * noise_sigma(by), int(np.searchsorted(edges, by[0], side="right"))
+    at: list[int] = []  # the region of every sample; noise at a border changes none
+    for value in by.tolist():
+        above = int(np.searchsorted(edges, value - margin, side="right"))
+        below = int(np.searchsorted(edges, value + margin, side="right"))
+        now = max(now, above) if above > now else min(now, below)
+        at.append(now)
     clipped = _clipped(window.pv)
     cuts = [0, *(np.flatnonzero(np.diff(at).astype(bool) | np.diff(clipped)) + 1).tolist(), len(at)]
     ends = [-math.inf, *edges.tolist(), math.inf]
@@ -85,15 +91,3 @@ def _clipped(pv: FloatArray) -> npt.NDArray[np.bool_]:
 def _excitation(window: Window) -> float:
     record = Record.of(window)
     return record.pv_range / record.noise_std
-
-
-def _places(by: FloatArray, edges: FloatArray, margin: float) -> list[int]:
-    """The region of every sample; noise at a border changes none."""
-    now = int(np.searchsorted(edges, by[0], side="right"))
-    found = []
-    for value in by.tolist():
-        above = int(np.searchsorted(edges, value - margin, side="right"))
-        below = int(np.searchsorted(edges, value + margin, side="right"))
-        now = max(now, above) if above > now else min(now, below)
-        found.append(now)
-    return found

@@ -27,7 +27,7 @@ import numpy as np
 
 from retuner.adaptive.fit.damped import Limits, descended
 from retuner.adaptive.fit.structure import INVERSE, LAG, SECOND, SIZE, SLOPE, THETA, dynamics_at, model_at
-from retuner.adaptive.identification.by_likelihood import Likelihood, Likely, as_plausible, middle, runs_away
+from retuner.adaptive.identification.by_likelihood import Likelihood, as_plausible, middle, runs_away
 from retuner.adaptive.identification.estimate import (
     Alternative,
     LogModel,
@@ -128,16 +128,14 @@ class Fitting:
         left = []
         for one, law in zip(self.records, self._laws, strict=True):
             if law not in known:
-                known[law] = self._response(type_, x, law, self._reach[law])
+                n = self._reach[law]
+                # The loop's response to a unit step of the setpoint
+                since = np.arange(n, dtype=np.float64) * law.dt_s - math.exp(x[THETA])
+                held = self.sign * math.exp(x[SLOPE]) * dynamics_at(type_, x).step(since)
+                found = setpoint_response(np.asarray(held, dtype=np.float64), law)
+                known[law] = found if not runs_away(found) else np.full(n, np.nan)
             left.append(np.array(one.pv) - one.said(known[law]))
         return left
-
-    def _response(self, type_: ProcessType, x: FloatArray, law: SampledLaw, n: int) -> FloatArray:
-        """The loop's response to a unit step of the setpoint."""
-        since = np.arange(n, dtype=np.float64) * law.dt_s - math.exp(x[THETA])
-        held = self.sign * math.exp(x[SLOPE]) * dynamics_at(type_, x).step(since)
-        found = setpoint_response(np.asarray(held, dtype=np.float64), law)
-        return found if not runs_away(found) else np.full(n, np.nan)
 
     def deviance(self, type_: ProcessType, x: FloatArray) -> float:
         """Sum of squares with what is unusual of x; infinite where the loop would run away."""
@@ -245,7 +243,15 @@ def process_behind(
     likely = likelihood.best(list(_ends(found)))
     by_steps = min(found, key=lambda one: one.deviance + PRICE * len(one.x))
     if likely is not None and likely.criterion < fitting.criterion(by_steps, likelihood):
-        return _by_likelihood(likelihood, likely, settings)
+        # The estimate by all that the records show
+        newest, sign = likelihood.records[-1], likelihood.sign
+        points = likelihood.around(likely)
+        leading = middle(points, sign, newest.dt_s)
+        around = as_plausible(points, leading, sign)
+        log = LogModel(points[leading][0], proper_covariance(likely.own), sign, likelihood.type)
+        information = np.linalg.cholesky(np.linalg.inv(log.p)).T
+        alternative = Alternative(log, likely.deviance, information, information @ log.x, likelihood.samples)
+        return _told(likelihood.records, (alternative,), around, (likely.noise, likely.noise), settings)
     n = sum(one.reach for one in records)
     inflation = max(min(one.deviance / max(n - len(one.x), 1) for one in found), 1.0)
     ranked = sorted(found, key=lambda one: one.deviance / inflation + PRICE * len(one.x))
@@ -288,18 +294,6 @@ def _ends(found: Sequence[SetpointFit]) -> Iterator[FloatArray]:
 
 FARTHEST, NEAREST = 2.5, 1.5
 """e-folds by which an end of the structure is near enough: a lag beyond the dead time, a second lag below it."""
-
-
-def _by_likelihood(likelihood: Likelihood, likely: Likely, settings: FitSettings) -> ModelEstimate:
-    """The estimate by all that the records show."""
-    newest, sign = likelihood.records[-1], likelihood.sign
-    points = likelihood.around(likely)
-    leading = middle(points, sign, newest.dt_s)
-    around = as_plausible(points, leading, sign)
-    log = LogModel(points[leading][0], proper_covariance(likely.own), sign, likelihood.type)
-    information = np.linalg.cholesky(np.linalg.inv(log.p)).T
-    alternative = Alternative(log, likely.deviance, information, information @ log.x, likelihood.samples)
-    return _told(likelihood.records, (alternative,), around, (likely.noise, likely.noise), settings)
 
 
 def of_the_newest(records: Sequence[SetpointSteps], estimate: ModelEstimate, b: float, filter_s: float) -> float:

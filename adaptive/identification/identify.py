@@ -306,7 +306,16 @@ def _alternative(candidate: Candidate, prior: Prior | None) -> Alternative:
     fit = candidate.fit
     record, d = fit.misfit.record, SIZE[fit.misfit.type]
     inflation = inflation_of(fit)
-    information, score = _compress(fit.misfit.jacobian(fit.at) / inflation, fit.at.r / inflation, fit.p, d)
+    jacobian = fit.misfit.jacobian(fit.at) / inflation
+    r = fit.at.r / inflation
+    # information R (d, d) and score z (d,) with R x = z + unit noise: the linearised record, load times taken out
+    process, loads = jacobian[:, :d], jacobian[:, d:]
+    if loads.shape[1]:
+        q, _ = np.linalg.qr(loads)
+        process, r = process - q @ (q.T @ process), r - q @ (q.T @ r)
+    q, triangle = np.linalg.qr(process)
+    information = np.asarray(triangle, dtype=np.float64)
+    score = np.asarray(triangle @ fit.p[:d] - q.T @ r, dtype=np.float64)
     precision = information.T @ information
     known = usual(fit.misfit.type, fit.x) if prior is None else prior
     precision = precision if known is None else precision + known.root.T @ known.root
@@ -342,17 +351,6 @@ estimate would pass for as sure as if it had been explained."""
 def broad(d: int) -> FloatArray:
     """Precision of what is known of any process before any record."""
     return np.diag([WIDEST_GAIN_STD**-2, *[WIDEST_STD**-2] * (d - 1)])
-
-
-def _compress(jacobian: FloatArray, r: FloatArray, p: FloatArray, d: int) -> tuple[FloatArray, FloatArray]:
-    """R (d, d) and z (d,) with R x = z + unit noise: the linearised record, load times taken out."""
-    process, loads = jacobian[:, :d], jacobian[:, d:]
-    if loads.shape[1]:
-        q, _ = np.linalg.qr(loads)
-        process, r = process - q @ (q.T @ process), r - q @ (q.T @ r)
-    q, triangle = np.linalg.qr(process)
-    z = triangle @ p[:d] - q.T @ r
-    return np.asarray(triangle, dtype=np.float64), np.asarray(z, dtype=np.float64)
 
 
 def unexplained(left_std: float, explained_std: float, record: Record, settings: FitSettings) -> str:

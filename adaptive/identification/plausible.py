@@ -55,37 +55,24 @@ def plausible(found: list[Candidate], covariance: FloatArray, priors: Priors) ->
     at = _deviance(fit.misfit, fit.p, prior)
     points = [(fit.x, 0.0), *_axes(fit, covariance, prior, at)]
     own = [Plausible(model_at(fit.misfit.type, x, fit.misfit.sign), max(e, 0.0)) for x, e in points]
-    return (*own, *_valley(_opened(fit, priors), priors, at), *_rivals(found))
-
-
-def _rivals(found: list[Candidate]) -> list[Plausible]:
-    """The other candidates that came close, those of a larger structure as likely as what they leave.
-
-    So are those whose loads have a lag of their own where the best has none: the record does not tell whose lag it is.
-    The price of one parameter more tells which structure to name, not that the other is wrong: an integrator under a
-    drifting load and a lag with thirty times the dead time were seen to leave the same.
-    """
-    best, others = found[0], _different(found)
+    # the other candidates that came close, each optimum once: a model found from two starts is not twice as likely
+    best, kept = found[0], found[:1]
+    for c in found[1:]:
+        if not any(c.fit.misfit.type == k.fit.misfit.type and _apart(c, k) < SAME for k in kept):
+            kept.append(c)
+    others = kept[1:]
     n, size = len(best.fit.misfit.record.pv), SIZE[best.fit.misfit.type]
     rounding = 0 if best.fit.misfit.rounded else ROUNDING_COST
-    more = [
+    more = [  # those of a larger structure are as likely as what they leave
         (max(SIZE[c.fit.misfit.type] - size, 0) + rounding * int(c.fit.misfit.rounded)) * math.log(n) for c in others
     ]
     excess = [max(c.criterion - best.criterion - price, 0.0) for c, price in zip(others, more, strict=True)]
-    return [
+    rivals = [
         Plausible(model_at(c.fit.misfit.type, c.fit.x, c.fit.misfit.sign), e)
         for c, e in zip(others, excess, strict=True)
         if e < MOST_EXCESS
     ]
-
-
-def _different(found: list[Candidate]) -> list[Candidate]:
-    """All but the best, each optimum once: a model found from two starts is not twice as likely."""
-    kept = found[:1]
-    for c in found[1:]:
-        if not any(c.fit.misfit.type == k.fit.misfit.type and _apart(c, k) < SAME for k in kept):
-            kept.append(c)
-    return kept[1:]
+    return (*own, *_valley(_opened(fit, priors), priors, at), *rivals)
 
 
 def _apart(one: Candidate, other: Candidate) -> float:

@@ -110,7 +110,14 @@ def candidates(
         raise ValueError(short)
     rivals = sorted(_rivals(window, signs, settings, barred_s), key=lambda c: c.criterion)
     seen = CandidateList(rivals)
-    for seed in _seeds(rivals):
+    # Where the improvement starts: the best, the best of another structure, without load steps, all with a drift
+    best = rivals[0]
+    same = [c for c in rivals if c.fit.misfit.sign == best.fit.misfit.sign]
+    by_type = list({c.fit.misfit.type: c for c in reversed(same)}.values())
+    by_type.sort(key=lambda c: c.criterion)
+    calm = [c for c in same if c.fit.misfit.loads == 0 and not c.fit.misfit.ramp][:1]
+    drifting = {c.fit.misfit.type: c for c in reversed(same) if c.fit.misfit.ramp}
+    for seed in list(dict.fromkeys([*by_type[: None if _far(best) else 2], *calm, *drifting.values()])):
         improved(seed, settings.most_loads, seen)
     winner = seen.best()
     if settings.most_loads and _swallows(winner):
@@ -140,21 +147,6 @@ def _on(record: Record, found: Candidate) -> Candidate:
     fit = refine(white, p, enough=EXACT)
     known = usual(misfit.type, fit.x)
     return judged(fit) if known is None else judged(refine(white, fit.p, known, enough=EXACT), known)
-
-
-def _seeds(rivals: list[Candidate]) -> list[Candidate]:
-    """Where the improvement starts: the best, the best of another structure, without load steps, all with a drift.
-
-    Where even the best leaves more than white noise, the best of every structure: the truth may need more loads than
-    seeded. A drift takes every structure along: beside one, and with a load to find, which is best is not known yet.
-    """
-    best = rivals[0]
-    same = [c for c in rivals if c.fit.misfit.sign == best.fit.misfit.sign]
-    by_type = list({c.fit.misfit.type: c for c in reversed(same)}.values())
-    by_type.sort(key=lambda c: c.criterion)
-    calm = [c for c in same if c.fit.misfit.loads == 0 and not c.fit.misfit.ramp][:1]
-    drifting = {c.fit.misfit.type: c for c in reversed(same) if c.fit.misfit.ramp}
-    return list(dict.fromkeys([*by_type[: None if _far(best) else 2], *calm, *drifting.values()]))
 
 
 def _far(best: Candidate) -> bool:

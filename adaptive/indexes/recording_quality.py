@@ -119,7 +119,13 @@ def hidden_sigma(x: FloatArray) -> float:
     if len(bends) < FEWEST_KEPT or straight < LEAST_STRAIGHT:
         return 0.0
     held = float(np.mean(steps == 0)) > HELD * straight
-    misses = np.abs(steps)[steps != 0] if held else _misses(x, bends)
+    if held:
+        misses = np.abs(steps)[steps != 0]
+    else:
+        # Distance of every kept point from the line between its neighbours
+        before, at, after = bends[:-2], bends[1:-1], bends[2:]
+        part = (at - before) / (after - before)
+        misses = np.abs(x[at] - x[before] - part * (x[after] - x[before]))
     misses = misses[misses > _last_digit(x)]
     if not misses.size:
         return 0.0
@@ -127,13 +133,6 @@ def hidden_sigma(x: FloatArray) -> float:
 
 
 HELD = 0.5  # share of repeats among the straight pieces from which the last value was held, and no lines were drawn
-
-
-def _misses(x: FloatArray, kept: npt.NDArray[np.int64]) -> FloatArray:
-    """Distance of every kept point from the line between its neighbours."""
-    before, at, after = kept[:-2], kept[1:-1], kept[2:]
-    part = (at - before) / (after - before)
-    return np.abs(x[at] - x[before] - part * (x[after] - x[before]))
 
 
 @kept_of_signal

@@ -17,8 +17,8 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from retuner.adaptive.loop.open_loop import OpenLoop, gain_crossovers, grid, is_stable, open_loop
-from retuner.adaptive.loop.simulate import CutLoop, DelaySteps, PlainSteps, cut_loop, delay_steps, plain_steps
+from retuner.adaptive.loop.open_loop import gain_crossovers, grid, is_stable, open_loop
+from retuner.adaptive.loop.simulate import DelaySteps, PlainSteps, cut_loop, delay_steps, plain_steps
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.gains import PidGains
@@ -72,7 +72,9 @@ def variation(
     loop = cut_loop(process, gains, tau_f_s, unit_s)
     stepper: Stepper
     if process.theta_s:
-        stepper = _DelayStepper(delay_steps(loop, _fastest(loop), setpoint, load, kick=kick))
+        largest = float(np.max(np.abs(np.linalg.eigvals(loop.a)), initial=0.0))
+        fastest = 1 / largest if largest > 1e-12 else math.inf  # time constant of the cut loop, in its unit
+        stepper = _DelayStepper(delay_steps(loop, fastest, setpoint, load, kick=kick))
     else:
         stepper = _PlainStepper(plain_steps(loop, setpoint, load, kick=kick))
     impulse = kick and setpoint and loop.kd
@@ -85,13 +87,6 @@ def _slowest(process: LinearProcess, gains: PidGains) -> float:
     times = [*process.lags_s, *(math.sqrt(c2) for _, c2 in process.quadratics)]
     times += [gains.kp / gains.ki] if gains.ki else []
     return max(times, default=0.0) or 1.0
-
-
-def _fastest(loop: CutLoop) -> float:
-    """Smallest time constant of the cut loop in its unit; infinite when it has none."""
-    rates = np.abs(np.linalg.eigvals(loop.a))
-    largest = float(np.max(rates, initial=0.0))
-    return 1 / largest if largest > 1e-12 else math.inf
 
 
 class Stepper(ABC):
@@ -288,7 +283,9 @@ def performance(
     crossed = gain_crossovers(loop, grid(loop))
     if not is_stable(loop, crossed):
         return Performance(math.inf, math.inf, math.inf, math.inf)
-    process = _without_needless_delay(process, loop, crossed)
+    needless = loop.excess >= 1 and process.theta_s * max(crossed, default=0.0) <= NEEDLESS_DELAY
+    if process.theta_s and needless:
+        process = replace(process, theta_s=0.0, lags_s=(*process.lags_s, process.theta_s))
     setpoint = setpoint_variation(process, gains, tau_f_s, derivative_on_setpoint=derivative_on_setpoint)
     load = load_variation(process, gains, tau_f_s)
     return Performance(setpoint.error, load.error, setpoint.output, load.output)
@@ -315,13 +312,6 @@ def load_variation(
     if not gains.ki:
         return NEVER
     return variation(process, gains, tau_f_s, 0.0, 1.0, kick=False, with_output=with_output)
-
-
-def _without_needless_delay(process: LinearProcess, loop: OpenLoop, crossed: list[float]) -> LinearProcess:
-    """A dead time far shorter than all that the loop does becomes a lag: they differ by (w theta)^2 where L matters."""
-    if not process.theta_s or loop.excess < 1 or process.theta_s * max(crossed, default=0.0) > NEEDLESS_DELAY:
-        return process
-    return replace(process, theta_s=0.0, lags_s=(*process.lags_s, process.theta_s))
 
 
 def weighted_cost(found: Performance, best_setpoint: float, best_load: float) -> float:

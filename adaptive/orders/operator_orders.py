@@ -133,25 +133,22 @@ def revert(retuner: Retuner, region: int, gains: PidGains, t_s: float) -> Decisi
     phase = retuner.trials.phase(region)
     if phase in UNDECIDED or phase is TrialPhase.WAITING:
         return retuner.rolled_back(region)
-    reason = _no_rollback(retuner, region, gains, t_s)
-    if reason:
-        return retuner.ordered(region, Outcome("revert_refused", f"rollback refused: {reason}"))
-    return retuner.ordered(region, Outcome("ordered_back", "an operator requested this rollback"), gains)
-
-
-def _no_rollback(retuner: Retuner, region: int, gains: PidGains, t_s: float) -> str:
-    """Why a region does not go back to these gains; empty when it does."""
+    # Why a region does not go back to these gains
     in_force, settings = retuner.table.gains_of(region), retuner.settings
     guard: GuardSettings = settings.guard
     if gains.direction != in_force.direction:
-        return "these gains have the opposite control action"
-    if change_factor(gains, in_force) <= SAME_GAINS:
-        return "they are active already"
-    if not guard.kc_min <= abs(gains.kp) <= guard.kc_max:
-        return f"kc {gains.kp:g} lies outside kc_min and kc_max"
-    known = known_of(KnownProcesses(retuner.table, retuner.region_models, t_s, settings), region)
-    why = unstable_again(SetsThatRan(gains, in_force), known)
-    return why.replace("the previous gains", "they")
+        reason = "these gains have the opposite control action"
+    elif change_factor(gains, in_force) <= SAME_GAINS:
+        reason = "they are active already"
+    elif not guard.kc_min <= abs(gains.kp) <= guard.kc_max:
+        reason = f"kc {gains.kp:g} lies outside kc_min and kc_max"
+    else:
+        known = known_of(KnownProcesses(retuner.table, retuner.region_models, t_s, settings), region)
+        why = unstable_again(SetsThatRan(gains, in_force), known)
+        reason = why.replace("the previous gains", "they")
+    if reason:
+        return retuner.ordered(region, Outcome("revert_refused", f"rollback refused: {reason}"))
+    return retuner.ordered(region, Outcome("ordered_back", "an operator requested this rollback"), gains)
 
 
 def accept(retuner: Retuner, region: int, t_s: float) -> bool:

@@ -204,26 +204,19 @@ class ProcessModel:
     def without_inverse(self) -> "ProcessModel":
         """An inverse response taken as so much dead time (Skogestad 2003, section 2); other structures as they are."""
         if self.inverse_s < 0:
-            return self._without_lead()
+            # The first order with the same gain at rest that an integral loop cannot tell from it where it lives
+            times = (self.inverse_s, *self.lags_s())
+            low, high = 0.0, math.pi / max(self.theta_s, NO_TIME * self.tau1_s)
+            for _ in range(BISECTIONS):
+                w = (low + high) / 2
+                lag = w * self.theta_s + sum(math.atan(w * time) for time in times)
+                low, high = (w, high) if lag < W_THETA + math.pi / 2 else (low, w)
+            slope = high * abs(self.linear().response(np.array([high]))[0])
+            k, theta = self.k * max(-self.inverse_s / self.tau1_s, 1.0), max(W_THETA / high, self.theta_s)
+            return ProcessModel(ProcessType.FOPDT, k, abs(k) / slope, 0.0, theta)
         if not self.inverse_s:
             return self
         return replace(self, type=ProcessType.SOPDT, theta_s=self.theta_s + self.inverse_s, inverse_s=0.0)
-
-    def _without_lead(self) -> "ProcessModel":
-        """The first order with the same gain at rest that an integral loop cannot tell from it where it lives.
-
-        A lead longer than every lag makes pv overshoot, and the gain is that of the overshoot (Skogestad's rule T1).
-        w : the last frequency at which G lags as k' e^(-theta s)/s does at its crossover under SIMC (W_THETA).
-        """
-        times = (self.inverse_s, *self.lags_s())
-        low, high = 0.0, math.pi / max(self.theta_s, NO_TIME * self.tau1_s)
-        for _ in range(BISECTIONS):
-            w = (low + high) / 2
-            lag = w * self.theta_s + sum(math.atan(w * time) for time in times)
-            low, high = (w, high) if lag < W_THETA + math.pi / 2 else (low, w)
-        slope = high * abs(self.linear().response(np.array([high]))[0])
-        k, theta = self.k * max(-self.inverse_s / self.tau1_s, 1.0), max(W_THETA / high, self.theta_s)
-        return ProcessModel(ProcessType.FOPDT, k, abs(k) / slope, 0.0, theta)
 
     def of_second_order(self) -> "ProcessModel":
         """An inverse response taken as so much dead time, a third lag by the half rule (Skogestad 2003, section 2)."""

@@ -92,19 +92,18 @@ def against(lead_s: float, lags_s: list[float]) -> float:
 def set_against(lead_s: float, lag_s: float, theta_s: float) -> LeadOverLag:
     """Apply the rule that holds for a lead, a lag (infinite for an integrator) and an effective dead time, all in s."""
     if lead_s > lag_s:
-        return LeadOverLag(_t1(lead_s, lag_s, theta_s), lead_s, lag_s, lead_s / min(max(theta_s, lag_s), lead_s), 0.0)
+        return LeadOverLag(
+            "T1" if theta_s <= lag_s else "T1a" if theta_s <= lead_s else "T1b",
+            lead_s,
+            lag_s,
+            lead_s / min(max(theta_s, lag_s), lead_s),
+            0.0,
+        )
     unit = 1.0 if math.isinf(lag_s) else lag_s
     if lead_s >= WITHIN * theta_s:
         return LeadOverLag("T2", lead_s, lag_s, lead_s / unit, 0.0)
     reach = min(lag_s, WITHIN * theta_s)
     return LeadOverLag("T3", lead_s, lag_s, reach / unit, reach - lead_s)
-
-
-def _t1(lead_s: float, lag_s: float, theta_s: float) -> str:
-    """Which of the three rules for a lead longer than its lag."""
-    if theta_s <= lag_s:
-        return "T1"
-    return "T1a" if theta_s <= lead_s else "T1b"
 
 
 SMALLEST_DAMPING = 0.5

@@ -54,11 +54,9 @@ def place_by(x: float, log: LogModel, sample_time_s: float, limits: DesignLimits
 def best_of(places: Sequence[Place], limits: DesignLimits) -> Best:
     """The set that keeps the limits at most of these places, of their own sets and calmer ones."""
     tried = (times(place.own, factor) for place in places for factor in CALMER)
-    return max((Best(one, _kept(places, one, limits)) for one in tried), key=lambda best: best.kept)
-
-
-def _kept(places: Sequence[Place], gains: PidGains, limits: DesignLimits) -> int:
-    return sum(_keeps(place, gains, limits) for place in places)
+    return max(
+        (Best(one, sum(_keeps(place, one, limits) for place in places)) for one in tried), key=lambda best: best.kept
+    )
 
 
 def _keeps(place: Place, gains: PidGains, limits: DesignLimits) -> bool:

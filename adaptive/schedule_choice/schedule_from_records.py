@@ -136,7 +136,9 @@ def design(
         hysteresis=_hysteresis(chosen.one, layout.lookup, layout.edges),
         min_stay_s=max(p.model.theta_s for p in places if p.known) if sets > 1 else 0.0,
         reason=_counted(sets, str(layout.lookup), places, limits.j, j_limit),
-        second_hysteresis=_second_hysteresis(chosen.two, layout),
+        second_hysteresis=_hysteresis(chosen.two, layout.lookup, layout.edges2)
+        if chosen.two is not None and isinstance(layout, Cells)
+        else 0.0,
     )
     return replace(made, crossings=crossings_of(made, windows))
 
@@ -220,12 +222,6 @@ def crossings_of(found: Design, windows: Sequence[Window]) -> tuple[RegionCrossi
     assert middle is not None
     row = [place for place in found.places if place.x2 == middle]
     return tuple(crossings(found.curves, row, lambda x: layout.gains_at(x, middle), (variable,), largest, middle))
-
-
-def _second_hysteresis(two: SchedulingVariable | None, layout: Layout | Cells) -> float:
-    if two is None or not isinstance(layout, Cells):
-        return 0.0
-    return _hysteresis(two, layout.lookup, layout.edges2)
 
 
 NEAR_VISITED_RANGES = 0.25
@@ -362,11 +358,11 @@ def _layout(places: Sequence[Place], limits: DesignLimits, lookup: str) -> Layou
     if lookup != Lookup.HARD:
         options.append(knots_of_fewest_sets(places, limits, MOST_SETS))
     able = [layout for layout in options if layout is not None]
-    return min(able, key=lambda one: (len(one.sets), _mean_j(places, one)), default=None)
-
-
-def _mean_j(places: Sequence[Place], layout: Layout) -> float:
-    return float(np.mean([p.judged(layout.gains_at(p.x)).j for p in places if p.known]))
+    return min(
+        able,
+        key=lambda one: (len(one.sets), float(np.mean([p.judged(one.gains_at(p.x)).j for p in places if p.known]))),
+        default=None,
+    )
 
 
 def _hysteresis(chosen: SchedulingVariable, lookup: Lookup, edges: Sequence[float]) -> float:
@@ -492,15 +488,12 @@ def next_experiment(curves: Curves, places: Sequence[Place], co: Range = (None, 
     wanted = answer / abs(reached)
     # the sign of a step of co that moves pv away from the nearer end of the range
     inwards = math.copysign(1.0, reached) * (1.0 if least.x <= (places[0].x + places[-1].x) / 2 else -1.0)
-    step = _within(wanted, float(curves.rest.co(np.array([least.x]))[0]), co, inwards)
-    return NextExperiment(least.x, step, step * reached, hold, least.gain_std, abs(step) < 0.999 * wanted, least.x2)
-
-
-def _within(wanted: float, rest: float, co: Range, inwards: float) -> float:
-    """A step of this size away from rest, inwards where there is room; else the other way, or as far as it goes."""
+    rest = float(curves.rest.co(np.array([least.x]))[0])
+    # A step of this size away from rest, inwards where there is room; else the other way, or as far as it goes
     low, high = co
     up = math.inf if high is None else CO_SHARE * max(high - rest, 0.0)
     down = math.inf if low is None else CO_SHARE * max(rest - low, 0.0)
     room = {1.0: up, -1.0: down}
     way = inwards if room[inwards] >= min(wanted, room[-inwards]) else -inwards
-    return way * min(wanted, room[way])
+    step = way * min(wanted, room[way])
+    return NextExperiment(least.x, step, step * reached, hold, least.gain_std, abs(step) < 0.999 * wanted, least.x2)

@@ -181,6 +181,19 @@ def _felt(fit: Fit, felt: Characteristic) -> tuple[CurveForm, FloatArray]:
     return form.with_shapes(form.shapes, now.z, felt, form.second_shapes)
 
 
+def _with_second_lag(form: CurveForm, z: FloatArray) -> tuple[CurveForm, FloatArray]:
+    """A lag beside the first, out of the dead time."""
+    ln_theta = form.centre[1] + float(form.axis.columns(np.array(form.axis.low), form.shapes[1]) @ z[form.places[1]])
+    centre = (form.centre[0], form.centre[1], form.centre[2], ln_theta + math.log(SECOND_LAG))
+    less = z.copy()
+    less[form.places[1].start] += math.log(1 - SECOND_LAG) / LEVEL_STD
+    second = form.second
+    if second is not None:
+        second = replace(second, shapes=(*second.shapes, CurveShape.CONSTANT))
+    form = replace(form, shapes=(*form.shapes, CurveShape.CONSTANT), centre=centre, second=second)
+    return form, np.append(less, 0.0)
+
+
 def _settled(joint: Joint, form: CurveForm, z: FloatArray, rounds: int) -> Fit:
     """Curves, noise and load steps in turn."""
     noise = _noise(joint, at(joint, form, z, Noise((), np.ones(len(joint.loads))), derivatives=False))
@@ -207,18 +220,6 @@ def _noise(joint: Joint, now: At) -> Noise:
     found = noise_of(now.left, 1e-9)
     travel = np.array([float(np.ptp(s.pv)) for s in joint.stretches])
     return replace(found, sigma=np.hypot(found.sigma, MODEL_ERROR * travel))
-
-
-def _with_second_lag(form: CurveForm, z: FloatArray) -> tuple[CurveForm, FloatArray]:
-    """A lag beside the first, out of the dead time."""
-    ln_theta = form.centre[1] + float(form.axis.columns(np.array(form.axis.low), form.shapes[1]) @ z[form.places[1]])
-    centre = (form.centre[0], form.centre[1], form.centre[2], ln_theta + math.log(SECOND_LAG))
-    less = z.copy()
-    less[form.places[1].start] += math.log(1 - SECOND_LAG) / LEVEL_STD
-    second = form.second
-    if second is not None:
-        second = replace(second, shapes=(*second.shapes, CurveShape.CONSTANT))
-    return replace(form, shapes=(*form.shapes, CurveShape.CONSTANT), centre=centre, second=second), np.append(less, 0.0)
 
 
 LOAD_PRICE = 6.0  # nats that a load step costs: its size, and its time among those in which it might have stood

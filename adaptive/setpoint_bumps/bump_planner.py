@@ -195,7 +195,19 @@ class BumpPlanner:
                 self.evidence(sample.t_s)
             if self._quiet_s(sample) < self.settings.after_h * SECONDS_PER_HOUR:
                 return None
-            return self._announced(sample, around) if self._is_due(sample, around) else self._too_small(sample, around)
+            if self._is_due(sample, around):
+                return self._announced(sample, around)
+            # Tell once that a bump of the size that is allowed would teach nothing
+            bands, least = self.size / around.band, self.settings.least_bands
+            if self._told_small or not around.wanted or bands >= least:
+                return None
+            self._told_small = True
+            enough = math.ceil(10 * self.settings.percent * least / bands) / 10
+            reason = (
+                f"a setpoint bump of {self.settings.percent:g} % is {bands:.1f} noise bands, and {least:g} are needed: "
+                f"no bump is made; adaptation.bumps.percent = {enough:.1f} would be enough"
+            )
+            return BumpNews(BumpEvent.TOO_SMALL, self.phase, None, sample.sp, sample.sp, reason)
         cause = self._cause(sample, around)
         return None if cause is None else self._happened(cause, sample.t_s)
 
@@ -227,19 +239,6 @@ class BumpPlanner:
         lately = sum(1 for made in self.made if t_s - made < HOURS * SECONDS_PER_HOUR)
         left = len(self.made) < s.most and lately < s.most_per_day
         return left and self._is_free(sample, around) and self._aim(sample.sp, around) is not None
-
-    def _too_small(self, sample: LoopSample, around: LoopAround) -> BumpNews | None:
-        """Tell once that a bump of the size that is allowed would teach nothing."""
-        bands, least = self.size / around.band, self.settings.least_bands
-        if self._told_small or not around.wanted or bands >= least:
-            return None
-        self._told_small = True
-        enough = math.ceil(10 * self.settings.percent * least / bands) / 10
-        reason = (
-            f"a setpoint bump of {self.settings.percent:g} % is {bands:.1f} noise bands, and {least:g} are needed: "
-            f"no bump is made; adaptation.bumps.percent = {enough:.1f} would be enough"
-        )
-        return BumpNews(BumpEvent.TOO_SMALL, self.phase, None, sample.sp, sample.sp, reason)
 
     def _is_free(self, sample: LoopSample, around: LoopAround) -> bool:
         large = self.size >= self.settings.least_bands * around.band
@@ -326,24 +325,21 @@ class BumpPlanner:
         if sample.t_s - self.made[-1] > self.settings.longest_s:
             return BumpEvent.TOO_LONG
         if self._holds:
-            return self._held_long_enough(sample, around, since)
+            # Whether it is time for the other side, or to go back; the first setpoint tells how long each is held
+            if abs(sample.sp - sample.pv) >= self.size / 2:
+                self._near_s = math.inf
+            elif math.isinf(self._near_s):
+                self._near_s = since
+            longest = min(self.settings.longest_s, MOST_SAMPLES * self._dt_s) / sum(HOLDS)
+            if math.isinf(self._half_s) and since - self._near_s >= STAYS_SAMPLES * self._dt_s:
+                half_s = max(self._near_s, self._half[1] if self._half[0] == sample.revision else 0.0)
+                self._half = sample.revision, half_s
+                self._half_s = min(max(half_s, RESET_SHARE * around.reset_s, STAYS_SAMPLES * self._dt_s), longest)
+            hold_s = max(self._holds[0] * min(self._half_s, longest), STANDS * self._dt_s)
+            if since < hold_s - self._dt_s / 2:
+                return None
+            return BumpEvent.NEXT if len(self._holds) > 1 else BumpEvent.AT_REST
         return BumpEvent.AT_REST if around.at_rest and since > SHORTEST_SAMPLES * self._dt_s else None
-
-    def _held_long_enough(self, sample: LoopSample, around: LoopAround, since: float) -> BumpEvent | None:
-        """Whether it is time for the other side, or to go back; the first setpoint tells how long each is held."""
-        if abs(sample.sp - sample.pv) >= self.size / 2:
-            self._near_s = math.inf
-        elif math.isinf(self._near_s):
-            self._near_s = since
-        longest = min(self.settings.longest_s, MOST_SAMPLES * self._dt_s) / sum(HOLDS)
-        if math.isinf(self._half_s) and since - self._near_s >= STAYS_SAMPLES * self._dt_s:
-            half_s = max(self._near_s, self._half[1] if self._half[0] == sample.revision else 0.0)
-            self._half = sample.revision, half_s
-            self._half_s = min(max(half_s, RESET_SHARE * around.reset_s, STAYS_SAMPLES * self._dt_s), longest)
-        hold_s = max(self._holds[0] * min(self._half_s, longest), STANDS * self._dt_s)
-        if since < hold_s - self._dt_s / 2:
-            return None
-        return BumpEvent.NEXT if len(self._holds) > 1 else BumpEvent.AT_REST
 
     def _happened(self, cause: BumpEvent, t_s: float) -> BumpNews | None:
         new = COURSE.get((self.phase, cause))

@@ -308,7 +308,12 @@ def _telemetry(seen: _JudgedWindow) -> _Counted:
     missing = float(np.sum(whole - 1.0))
     lost = missing / (len(steps) + missing)
     uneven = float(np.mean(np.abs(steps - whole) > seen.settings.uneven))
-    repeated = _repeated_share(seen)
+    # Share of the samples that repeat the one before although integral action must have moved co
+    moves = np.abs(np.diff(seen.window.co))
+    count = float(np.min(moves[moves > 0], initial=math.inf))  # a converter's, where co is coarse
+    least = max(seen.response.band, count / (seen.ki * seen.window.sample_time_s) if seen.ki else math.inf)
+    again = [a[1:4] == b[1:4] and not b.limited and abs(b.sp - b.pv) > least for a, b in pairwise(seen.samples)]
+    repeated = sum(again) / len(again)
     numbers = AdmissionNumbers(lost_share=lost, uneven_share=uneven, repeated_share=repeated)
     for share, limit, ground in (
         (lost, seen.settings.lost_share, Ground.LOST_SAMPLES),
@@ -318,15 +323,6 @@ def _telemetry(seen: _JudgedWindow) -> _Counted:
         if share > limit:
             return _Counted(replace(numbers, limit=limit), ground)
     return _Counted(numbers)
-
-
-def _repeated_share(seen: _JudgedWindow) -> float:
-    """Share of the samples that repeat the one before although integral action must have moved co."""
-    moves = np.abs(np.diff(seen.window.co))
-    count = float(np.min(moves[moves > 0], initial=math.inf))  # a converter's, where co is coarse
-    least = max(seen.response.band, count / (seen.ki * seen.window.sample_time_s) if seen.ki else math.inf)
-    again = [a[1:4] == b[1:4] and not b.limited and abs(b.sp - b.pv) > least for a, b in pairwise(seen.samples)]
-    return sum(again) / len(again)
 
 
 def _in_region(seen: _JudgedWindow) -> _Counted:

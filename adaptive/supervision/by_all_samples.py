@@ -98,26 +98,21 @@ def look_of(
     fewest = FEWEST_SAMPLES_ON_TRIAL if on_trial else max(FEWEST_SAMPLES, math.ceil(after_s / dt_s))
     if len(rows) < fewest:
         return None
-    *earlier, last = _in_windows(rows, most)
-    if earlier and len(last) < fewest:  # too few by themselves: they come with the next
-        *earlier, last = earlier
-    grows = last[-1] is rows[-1] and len(last) < ROUNDED * most
-    limited = sum(1 for sample in rows if sample.limited) / len(rows)
-    windows = tuple(Window.of(part) for part in earlier)
-    return Look(book, Window.of(last), grows=grows, limited=limited, due=due, earlier=windows)
-
-
-def _in_windows(rows: list[LoopSample], most: int) -> list[list[LoopSample]]:
-    """Samples in windows of so many at the most. Where the setpoint moves in the later half of one, after it has stood,
-    the next begins: half an answer tells little, and the other half nothing without what co did before.
-    """
+    # Samples in windows of so many at the most. Where the setpoint moves in the later half of one, after it has stood,
+    # the next begins: half an answer tells little, and the other half nothing without what co did before
     before, ends = round(most * PER_TAU_I / WHOLE), [0]
     moved = [0, *(at for at in range(1, len(rows)) if rows[at].sp != rows[at - 1].sp)]
     begun = [at - before for last, at in itertools.pairwise(moved) if at - last >= before]
     while ends[-1] < len(rows):
         nearest = (at for at in begun if most // 2 - before <= at - ends[-1] <= most)
         ends.append(min(next(nearest, ends[-1] + most), len(rows)))
-    return [rows[first:end] for first, end in itertools.pairwise(ends)]
+    *earlier, last = [rows[first:end] for first, end in itertools.pairwise(ends)]
+    if earlier and len(last) < fewest:  # too few by themselves: they come with the next
+        *earlier, last = earlier
+    grows = last[-1] is rows[-1] and len(last) < ROUNDED * most
+    limited = sum(1 for sample in rows if sample.limited) / len(rows)
+    windows = tuple(Window.of(part) for part in earlier)
+    return Look(book, Window.of(last), grows=grows, limited=limited, due=due, earlier=windows)
 
 
 FEWEST_SAMPLES, FEWEST_SAMPLES_ON_TRIAL = 300, 50  # samples of a look
@@ -378,11 +373,7 @@ def proposal_by_all_samples(found: Findings, own: Outcome, seen: AllSamples) -> 
     look = seen.look
     if look is None or not _may_speak(found, own, look, seen) or (seen.shown and _rests(found, look)):
         return None
-    return _proved_by_all_samples(found, own, seen)
-
-
-def _proved_by_all_samples(found: Findings, own: Outcome, seen: AllSamples) -> Outcome | None:
-    """The change, where there is one and it is proved."""
+    # The change, where there is one and it is proved
     look, book, told = seen.look, seen.book, seen.told
     if look is None or book is None or told is None or told.tuning is None or not told.models:
         return None

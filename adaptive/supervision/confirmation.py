@@ -37,7 +37,6 @@ from retuner.adaptive.supervision.findings import (
     swings_between_limits,
     wanted_of,
 )
-from retuner.adaptive.supervision.question import ResponseRecord
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.trial.batch_responses import ClosedLoop
 from retuner.adaptive.valve.stand_still import stand_still
@@ -243,7 +242,14 @@ def runaway(found: Findings, proof: Proof) -> Diagnosis | None:
     record, settings = found.record, found.settings
     if proof.gains is None or found.steps is not None or record.pattern is None:
         return None
-    window = _last_step(record)
+    # The last setpoint step under these gains, to the end of its response or to the load or step that came next
+    response, revision = record.response, record.samples[-1].revision
+    end_s = response.t_end_s if response.sp_changed else response.t_start_s
+    kept = [s for s in record.samples if s.t_s < end_s and s.revision == revision and s.t_s >= record.entered_s]
+    at = next((i for i in range(len(kept) - 1, 0, -1) if kept[i].sp != kept[i - 1].sp), 0)
+    own = kept[max(at - SAMPLES_BEFORE_STEP, 0) :]
+    followed = all(sample.mode == LoopMode.AUTO and not sample.limited for sample in own)
+    window = Window.of(own) if at and followed and len(own) >= FEWEST_OF_STEP else None
     if window is None:
         return None
     law = SampledLaw(record.in_force, settings.sample_time_s, settings.setpoint_weight, settings.filter_s)
@@ -253,20 +259,6 @@ def runaway(found: Findings, proof: Proof) -> Diagnosis | None:
     after = record.table.with_gains(record.region, proof.gains).at(record.region, *record.at)
     worse = worse_on(shown, law, after, len(window.pv), settings.cause.ms_high)
     return None if worse is None else _runaway_words(shown, *worse)
-
-
-def _last_step(record: ResponseRecord) -> Window | None:
-    """The last setpoint step under these gains, to the end of its response or to the load or step that came next.
-
-    None where none is kept, or co did not follow its law.
-    """
-    response, revision = record.response, record.samples[-1].revision
-    end_s = response.t_end_s if response.sp_changed else response.t_start_s
-    kept = [s for s in record.samples if s.t_s < end_s and s.revision == revision and s.t_s >= record.entered_s]
-    at = next((i for i in range(len(kept) - 1, 0, -1) if kept[i].sp != kept[i - 1].sp), 0)
-    own = kept[max(at - SAMPLES_BEFORE_STEP, 0) :]
-    followed = all(sample.mode == LoopMode.AUTO and not sample.limited for sample in own)
-    return Window.of(own) if at and followed and len(own) >= FEWEST_OF_STEP else None
 
 
 def _runaway_words(shown: UnstableProcess, before: float, after: float) -> Diagnosis:

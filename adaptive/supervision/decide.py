@@ -37,7 +37,7 @@ from retuner.adaptive.guard.both_sides_of_border import worst_between
 from retuner.adaptive.guard.step_size import along
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.region_model.region_model import RegionModel
-from retuner.adaptive.region_model.update import ANEW, Agreement, Learned
+from retuner.adaptive.region_model.update import ANEW, Agreement
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.supervision.admission import Ground
 from retuner.adaptive.supervision.by_all_samples import (
@@ -111,7 +111,10 @@ def by_model(found: Findings) -> Outcome:
     assert wanted is not None  # after the findings, where these carry settings
     cause = wanted.diagnosis
     if not cause.retune:  # is the active tuning the cause?
-        return _stays(found, cause, learned)
+        if learned.agreement is not Agreement.CONTRADICTS:
+            return found.outcome(str(cause.cause), cause.reason, cause)
+        reason = f"by what is known of the region, {cause.reason}; this response {Agreement.CONTRADICTS}"
+        return found.unconfirmed(found.outcome("", ""), Diagnosis(Cause.UNKNOWN, 0.5, cause.evidence, reason))
     proof = proved(found, model, wanted)  # may the region have the gains that the rule gives?
     lost = 0
     if over_limit(proof.allowed, found.record.in_force, found.settings, math.inf, math.inf):
@@ -137,14 +140,6 @@ def by_model(found: Findings) -> Outcome:
     if doubt := runaway(found, chosen):  # does the process run away by itself, and would the change hold it worse?
         return found.unconfirmed(change, doubt)
     return confirmation(found, change, chosen, choice.reason, lost)
-
-
-def _stays(found: Findings, cause: Diagnosis, learned: Learned) -> Outcome:
-    """The outcome where what is known of the region gives no reason to retune."""
-    if learned.agreement is not Agreement.CONTRADICTS:
-        return found.outcome(str(cause.cause), cause.reason, cause)
-    reason = f"by what is known of the region, {cause.reason}; this response {Agreement.CONTRADICTS}"
-    return found.unconfirmed(found.outcome("", ""), Diagnosis(Cause.UNKNOWN, 0.5, cause.evidence, reason))
 
 
 def without_a_model(found: Findings) -> Outcome | None:
@@ -233,9 +228,16 @@ def worth(found: Findings, model: RegionModel, wanted: RobustProposal, proof: Pr
     """
     record, settings = found.record, found.settings
     known = record.known_with(model, settings)
-    ways = [proof, *_steps(found, known, wanted, proof)]
+    now, ways = record.table.gains_of(record.region), [proof]
+    assert proof.gains is not None
+    for share in PARTS:
+        part = replace(wanted.tuning, gains=along(now, proof.gains, share), tau_c_s=None)
+        one = _proof_of(found, known, part, settings.guard)
+        if one.accepted:
+            why = f"{share:.0%} of the proved change, because that is expected to be better than the full change"
+            ways.append(replace(one, step=proof.step * share, tau_c_s=proof.tau_c_s, notes=(*proof.notes, why)))
     whole = _proof_of(found, known, wanted.tuning, settings.guard.whole_step()) if proof.step < 1.0 else None
-    sets = [record.table.gains_of(record.region), *(one.gains for one in ways), whole.gains if whole else None]
+    sets = [now, *(one.gains for one in ways), whole.gains if whole else None]
     placed = [choosable(record, known, gains) for gains in sets if gains is not None]
     seen, asked = _seen(found, model), 1 + len(ways)
     looked = _looked(found, proof.allowed, placed, seen)
@@ -252,21 +254,6 @@ def _looked(
     loop = LoopSettings(settings.sample_time_s, settings.setpoint_weight, settings.filter_s)
     by_setpoint = found.excitation_now.setpoints > 0 or found.joined > 0
     return outlooks(allowed, sets, seen.decay, loop, settings.choice if by_setpoint else settings.choice.by_loads())
-
-
-def _steps(found: Findings, known: KnownProcesses, wanted: RobustProposal, proof: Proof) -> list[Proof]:
-    now, accepted = found.record.table.gains_of(found.record.region), []
-    assert proof.gains is not None
-    for share in PARTS:
-        part = replace(wanted.tuning, gains=along(now, proof.gains, share), tau_c_s=None)
-        one = _proof_of(found, known, part, found.settings.guard)
-        if one.accepted:
-            notes = (
-                *proof.notes,
-                f"{share:.0%} of the proved change, because that is expected to be better than the full change",
-            )
-            accepted.append(replace(one, step=proof.step * share, tau_c_s=proof.tau_c_s, notes=notes))
-    return accepted
 
 
 PARTS = (0.75, 0.5, 0.25)  # shares of a proved change that are weighed beside it

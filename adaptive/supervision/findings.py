@@ -406,7 +406,11 @@ def propose(region_model: RegionModel, log: LogModel, in_force: PidGains, settin
     region_model : what is known. log : the same as it may be met now (`predicted`). in_force : gains running now.
     """
     dt_s, best, cause = settings.sample_time_s, log.model(), settings.cause
-    robust = replace(settings.robust, ms_nominal=_nominal(best, settings))
+    # Largest Ms on the best model: of a lag-dominant process the guard's own limit, of the others less
+    plain = without_second_lag(best)
+    lag_dominant = not plain.tau1_s or plain.tau1_s > LAG_DOMINANT * plain.theta_s
+    ms = settings.guard.ms_nominal if lag_dominant else min(settings.robust.ms_nominal, settings.guard.ms_nominal)
+    robust = replace(settings.robust, ms_nominal=ms)
     tuning = _by_weight(region_model, best, in_force, robust, settings)
     given, lagged = (in_force, tuning.gains, log.gain_uncertainty(dt_s)), with_second_lag(region_model.plausible, dt_s)
     as_well = [best, *(p.model for p in region_model.plausible[1:] if not p.excess)]
@@ -461,17 +465,6 @@ def no_more_action(wanted: PidGains, in_force: PidGains, cause: Cause) -> PidGai
     if cause != Cause.SLOW_INTEGRATING:
         longest = longest[:1]
     return PidGains(kp, min(ki, *longest, key=abs), kd) if longest else PidGains(kp, ki, kd)
-
-
-def _nominal(best: ProcessModel, settings: RetunerSettings) -> float:
-    """Largest Ms on the best model: of a lag-dominant process the guard's own limit, of the others less.
-
-    SIMC's integral time there is that of an integrating process, and its Ms 1.70 to 1.98: less than the guard allows
-    costs a quarter in J. On the others Ms is 1.59 at no cost, and room is left for what the model does not show.
-    """
-    plain = without_second_lag(best)
-    lag_dominant = not plain.tau1_s or plain.tau1_s > LAG_DOMINANT * plain.theta_s
-    return settings.guard.ms_nominal if lag_dominant else min(settings.robust.ms_nominal, settings.guard.ms_nominal)
 
 
 def over_limit(

@@ -86,7 +86,19 @@ def known_of(known: KnownProcesses, region: int, book: Book | None = None) -> St
     """
     own, settings = known.where_gains_run.get(region), known.settings
     if book is not None:
-        return _beside_all_samples(known, region, book)
+        # The processes of the book, and beside them the models of responses, as witnesses: together a model has as much
+        # as the book where its Ms is in the middle of the book's odds, and the less the further out it is
+        gains = known.table.gains_of(region)
+        processes, ms, odds = spread(book, gains, settings.book)
+        by_book, _ = _as_seen(processes, settings)
+        models, likely = _as_seen(() if own is None else still_allowed(own, known.t_s, settings), settings)
+        witness = []
+        for model, weight in zip(models, likely, strict=True):
+            there = sensitivity_peak(model, gains, settings.filter_s)
+            tail = min(float(odds @ (ms >= there)), float(odds @ (ms <= there)))
+            witness.append(weight / sum(likely) * max(min(2.0 * tail, 1.0), ODD))
+        weights = (*processes.values(), *witness)
+        return StillAllowed((*by_book, *models), settings.filter_s, weights=weights, by_loads=True)
     if own is None:
         return NOTHING_KNOWN
     alone, likely = _as_seen(still_allowed(own, known.t_s, settings), settings)
@@ -110,23 +122,6 @@ def _as_seen(
     models = tuple(models)
     alone = tuple(found.model.seen_by_controller(settings.sample_time_s).linear() for found in models)
     return alone, tuple(math.exp(-found.excess / (2.0 * settings.choice.temper)) for found in models)
-
-
-def _beside_all_samples(known: KnownProcesses, region: int, book: Book) -> StillAllowed:
-    """The processes of the book, and beside them the models of responses, as witnesses: together a model has as much as
-    the book where its Ms is in the middle of the book's odds, and the less the further out it is.
-    """
-    settings, gains, own = known.settings, known.table.gains_of(region), known.where_gains_run.get(region)
-    processes, ms, odds = spread(book, gains, settings.book)
-    by_book, _ = _as_seen(processes, settings)
-    models, likely = _as_seen(() if own is None else still_allowed(own, known.t_s, settings), settings)
-    witness = []
-    for model, weight in zip(models, likely, strict=True):
-        there = sensitivity_peak(model, gains, settings.filter_s)
-        tail = min(float(odds @ (ms >= there)), float(odds @ (ms <= there)))
-        witness.append(weight / sum(likely) * max(min(2.0 * tail, 1.0), ODD))
-    weights = (*processes.values(), *witness)
-    return StillAllowed((*by_book, *models), settings.filter_s, weights=weights, by_loads=True)
 
 
 def allowed_models(

@@ -467,7 +467,23 @@ class Retuner:
         told = [at for at in others if others_may_tell(at, self.region_models, self.excitation, self.foreign)]
         free = tuple(at for at in told if self.trials.idle(at, self.now_s))
         away = tuple(at for at in others if self.trials.away(at) and not self._person_decides(at))
-        case = self._response_record(seen)
+        # Everything that the decision depends on
+        w, response = self._finder, seen.response
+        case = ResponseRecord(
+            seen.region,
+            response,
+            w.window(response, seen.wander),
+            tuple(w.samples),
+            self.table,
+            self.commissioned,
+            dict(self.region_models),
+            self.foreign.get(seen.region, 0),
+            self.excitation.get(seen.region, Excitation()),
+            w.scheduled,
+            seen.entered_s,
+            self._led.passed_over,
+            self.books.get(seen.region),
+        )
         if not news and passed_over(self._led, case, self.settings):
             self._led = self._led._replace(passed_over=self._led.passed_over + 1)
             return None
@@ -523,25 +539,6 @@ class Retuner:
             return self.trials.silent(case.region, silent, self.now_s, robust=outcome.robust)
         ask = self._person_decides(case.region)
         return self.trials.judge(case.region, seen_of(case, outcome), case.in_force, self.now_s, ask=ask)
-
-    def _response_record(self, seen: Completed) -> ResponseRecord:
-        """Everything that the decision depends on."""
-        w, response = self._finder, seen.response
-        return ResponseRecord(
-            seen.region,
-            response,
-            w.window(response, seen.wander),
-            tuple(w.samples),
-            self.table,
-            self.commissioned,
-            dict(self.region_models),
-            self.foreign.get(seen.region, 0),
-            self.excitation.get(seen.region, Excitation()),
-            w.scheduled,
-            seen.entered_s,
-            self._led.passed_over,
-            self.books.get(seen.region),
-        )
 
     def _decision(
         self, region: int, outcome: Outcome, question: Question | None = None, judgement: Judgement | None = None

@@ -54,7 +54,10 @@ def region_model_out(region_model: RegionModel) -> dict[str, object]:
         "plausible": [{"model": p.model.to_dict(), "excess": p.excess} for p in region_model.plausible],
         "identifiable": region_model.identifiable,
         "reason": region_model.reason,
-        "windows": [_window_out(window) for window in region_model.windows],
+        "windows": [
+            {name: getattr(window, name).tolist() for name in SERIES} | {"noise_std": window.noise_std}
+            for window in region_model.windows
+        ],
         "sequences": [_steps_out(one) for one in region_model.sequences],
         "bound_s": region_model.bound_s,
     }
@@ -82,10 +85,6 @@ def region_model_in(body: Mapping[str, Any]) -> RegionModel:
         tuple(_steps_in(one) for one in body.get("sequences", ())),  # averages of before have none
         float(body.get("bound_s", 0.0)),
     )
-
-
-def _window_out(window: Window) -> dict[str, object]:
-    return {name: getattr(window, name).tolist() for name in SERIES} | {"noise_std": window.noise_std}
 
 
 def _window_in(body: Mapping[str, Any]) -> Window:

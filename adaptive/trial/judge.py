@@ -281,7 +281,14 @@ def _unlike_a_step(seen: JudgedResponse, settings: TrialSettings) -> str:
 def _swings(response: Response, now: Expected, before: float, sigma: float, settings: TrialSettings) -> _Swings:
     peaks = [peak.e for peak in response.peaks]
     limit = max(now.decay.high + settings.decay_slack, settings.harmless_decay)
-    sure = _surely(peaks, response.band, sigma, settings.level) if len(peaks) > 1 else None
+    sure = None
+    if len(peaks) > 1:  # the decay less what noise on the peaks gives it
+        first, second, third = three(peaks, response.band)
+        damping, last = (third - second) / (first - second), abs(third / second)
+        sure = min(
+            damping - settings.level * sigma * math.hypot(1.0, 1.0, damping) / abs(first - second),
+            last - settings.level * sigma * math.hypot(1.0, last) / abs(second),
+        )
     numbers = SwingNumbers(*swing(peaks, response.band), limit, now.decay.best, before, sure)
     if sure is None or sure <= limit or sure <= before:
         return _Swings("", numbers)
@@ -290,16 +297,6 @@ def _swings(response: Response, now: Expected, before: float, sigma: float, sett
         f"{limit:.2f}), predicted at most {now.decay.high:.2f}; previous gains {before:.2f}"
     )
     return _Swings(words, numbers)
-
-
-def _surely(peaks: list[float], band: float, sigma: float, level: float) -> float:
-    """The decay less `level` standard deviations that noise on the peaks, of deviation sigma, gives it."""
-    first, second, third = three(peaks, band)
-    damping, last = (third - second) / (first - second), abs(third / second)
-    return min(
-        damping - level * sigma * math.hypot(1.0, 1.0, damping) / abs(first - second),
-        last - level * sigma * math.hypot(1.0, last) / abs(second),
-    )
 
 
 def _costs(

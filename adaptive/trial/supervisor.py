@@ -379,7 +379,12 @@ class TrialSupervisor:
             found = back or self._rollback(region, event)
             trial = replace(trial, cause=event, back=found, rollbacks=trial.rollbacks + (event in ROLLBACK_CAUSES))
         elif now == P.COOLING:
-            trial = replace(trial, until_s=t_s + self._cool_down_s(trial))
+            base = self.settings.cool_down_s
+            if base is None:
+                tau_i_s = self._tau_i_s(trial.back.gains if trial.back else trial.old)
+                base = max(self.settings.cool_down_tau_i * tau_i_s, self._shortest_s)
+            doubled = min(max(trial.rollbacks - 1, 0), self.settings.cool_down_most)
+            trial = replace(trial, until_s=t_s + base * 2.0**doubled)
         elif event in {E.PASSED, E.PASSED_FOR_APPROVAL, E.UNLOCKED, E.APPROVED}:
             trial = replace(trial, rollbacks=0, edits=0 if event in {E.UNLOCKED, E.APPROVED} else trial.edits)
         elif now in {P.AWAY, P.TRIAL} and trial.cause != E.STOPPED:  # the end goes on
@@ -393,13 +398,6 @@ class TrialSupervisor:
         if now == P.COOLING and trial.rollbacks >= self.settings.lock_out_after:
             self._move(region, E.TOO_MANY_UNDOS, t_s)
         return True
-
-    def _cool_down_s(self, trial: Trial) -> float:
-        base = self.settings.cool_down_s
-        if base is None:
-            tau_i_s = self._tau_i_s(trial.back.gains if trial.back else trial.old)
-            base = max(self.settings.cool_down_tau_i * tau_i_s, self._shortest_s)
-        return base * 2.0 ** min(max(trial.rollbacks - 1, 0), self.settings.cool_down_most)
 
     @staticmethod
     def _tau_i_s(gains: PidGains | None) -> float:

@@ -149,9 +149,11 @@ def _reading(
         return _Read(SlowReading.OTHER_CAUSE)
     if response.ending == Ending.SETPOINT:
         return _Read(SlowReading.CUT_SHORT)
-    swing = _swing(response, gains.kp / gains.ki)
-    if swing is None:
+    if len(response.peaks) < (3 if response.sp_changed else 2):  # the first peak of a setpoint step is its beginning
         return _Read(SlowReading.NO_SWING)
+    before, last = response.peaks[-2:]
+    period_s = 2 * (last.t_s - before.t_s)
+    swing = SlowSwing(-last.e / before.e, period_s, period_s / (gains.kp / gains.ki), max(2 * math.pi, SHORTEST_PERIOD))
     if swing.ratio < swing.limit:
         return _Read(SlowReading.NOT_SLOW, SlowNumbers(swing))
     zeta = zeta_of(swing.ratio)
@@ -172,13 +174,3 @@ def zeta_of(ratio: float) -> float:
     """Damping of PI on an integrating process by its period over tau_I (2 pi and more), 0.71 at most."""
     q = min((math.pi / ratio) ** 2, 0.25)
     return math.sqrt((1 - math.sqrt(1 - 4 * q)) / 2)
-
-
-def _swing(response: Response, tau_i_s: float) -> SlowSwing | None:
-    """Period and decay per half period from the last two peaks; the first peak of a setpoint step is its beginning."""
-    needed = 3 if response.sp_changed else 2
-    if len(response.peaks) < needed:
-        return None
-    before, last = response.peaks[-2:]
-    period_s = 2 * (last.t_s - before.t_s)
-    return SlowSwing(-last.e / before.e, period_s, period_s / tau_i_s, max(2 * math.pi, SHORTEST_PERIOD))
