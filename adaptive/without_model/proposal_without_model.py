@@ -5,18 +5,186 @@
                      -> nothing, with the reasons of both
 
 Neither proves anything. The guard lets such a proposal through as a small step at the most, and the trial watches it.
+
+    q = (pi tau_I / P0)^2,   zeta^2 = (1 - sqrt(1 - 4 q))/2,   f = 1/zeta^2,   Kc and tau_I each by sqrt(f)
+
+PI on k'/s has zeta = 0.5 sqrt(k' Kc tau_I) (Skogestad 2003), and swings with P0 = 2 pi/(w0 sqrt(1 - zeta^2)), w0 tau_I
+= 2 zeta. Solved for zeta that gives the exact need of a damped swing, where the printed f = 0.1 (P0/tau_I)^2 is meant
+for a weakly damped one (a third too strong at zeta 0.5); afterwards k' Kc tau_I = 4. P0 is at least 2 pi tau_I for an
+integrating process (zeta = 0.7), so a shorter swing is not this one.
+
+The swing has to look like it: each peak s = exp(-pi zeta/sqrt(1 - zeta^2)) times the one before, with the zeta of the
+period. A tone from outside (s = 1 at any period), and integral action against a dead time, decay otherwise.
+
+Both settings grow alike, so Kc/tau_I stays: loads are integrated away as before, and the loop becomes no faster than
+the cure needs.
 """
 
+import math
+from enum import StrEnum
+from typing import NamedTuple
+
 from retuner.adaptive.decision_numbers import NO_NUMBERS, Basis, Numbers
-from retuner.adaptive.diagnosis.cause import Diagnosis
+from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.guard.request import NO_LOCKS, Locks
 from retuner.adaptive.rules.rule import Tuning
-from retuner.adaptive.signals.response import Response
+from retuner.adaptive.rules.slow_oscillation import SHORTEST_PERIOD, slow_oscillation
+from retuner.adaptive.signals.response import Ending, Response
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.without_model.pattern_rule import PatternSettings, pattern_rule
-from retuner.adaptive.without_model.slow_oscillation_step import SlowSettings, slow_oscillation_online
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, field, replace
+
+# ---- The slow-oscillation rule on a response: which swing it may be applied to, and what it asks for, without a
+# model
+
+MAY_APPLY = frozenset({Cause.SLOW_INTEGRATING, Cause.SLUGGISH, Cause.UNKNOWN})
+"""Causes besides no diagnosis under which the rule may speak: too much gain is the contrary."""
+
+
+class SlowReading(StrEnum):
+    """What the rule says; the value is the sentence, with its numbers by name."""
+
+    APPLIES = (
+        "by the slow-oscillation rule (period {ratio:.1f} tau_I, zeta {zeta:.2f}): Kc tau_I x {factor:.2f}, "
+        "Kc x {kc_factor:.2f}, tau_I x {tau_i_factor:.2f}"
+    )
+    NO_PI = "the slow-oscillation rule needs proportional and integral action"
+    OTHER_CAUSE = "the slow-oscillation rule does not apply: {cause}"
+    CUT_SHORT = "the response was cut short: its period is not known"
+    NO_SWING = "too few peaks for a period"
+    NOT_SLOW = "a period of {ratio:.1f} tau_I is no slow oscillation ({limit:.1f} and more is)"
+    NOT_ALIKE = (
+        "each peak is {decay:.2f} times the one before; an integrating process would have {expected:.2f} at this period"
+    )
+    DAMPED = "zeta {zeta:.2f} is damped enough"
+
+
+@dataclass(frozen=True, slots=True)
+class SlowSettings:
+    """Settings.
+
+    unlike : how far the decay may lie from that of an integrating process; 0.05 to 0.4, default 0.15.
+    damped : zeta from which nothing is done; 0.4 to 0.7, default 0.6 (an overshoot of a tenth after loads).
+
+    Raises ValueError: a number is outside its range.
+    """
+
+    unlike: float = 0.15
+    damped: float = 0.6
+
+    def __post_init__(self) -> None:
+        for name, low, high in (("unlike", 0.05, 0.4), ("damped", 0.4, 0.7)):
+            if not low <= getattr(self, name) <= high:
+                raise ValueError(f"{name} = {getattr(self, name)} is outside {low} to {high}")
+
+
+@dataclass(frozen=True, slots=True)
+class SlowSwing(Numbers):
+    """decay : each peak against the one before. ratio : period over tau_I; limit : the least of a slow oscillation."""
+
+    decay: float
+    period_s: float
+    ratio: float
+    limit: float
+
+
+@dataclass(frozen=True, slots=True)
+class SlowDamping(Numbers):
+    """zeta : as the period says. expected : the decay that goes with it."""
+
+    zeta: float
+    expected: float
+
+
+@dataclass(frozen=True, slots=True)
+class SlowCure(Numbers):
+    """factor : on Kc tau_I. printed_factor : by the rule as printed. kc_factor, tau_i_factor : how the two share it."""
+
+    factor: float
+    printed_factor: float
+    kc_factor: float
+    tau_i_factor: float
+
+
+@dataclass(frozen=True, slots=True)
+class SlowNumbers(Numbers):
+    """What was weighed, as far as the rule came."""
+
+    swing: SlowSwing | None = None
+    damping: SlowDamping | None = None
+    cure: SlowCure | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class SlowAdvice:
+    """What the rule says. tuning : new settings, None where it does not apply. numbers : what was weighed."""
+
+    reading: SlowReading
+    sentence: str
+    numbers: SlowNumbers
+    tuning: Tuning | None = None
+
+
+def slow_oscillation_online(
+    response: Response, gains: PidGains, diagnosis: Diagnosis | None, settings: SlowSettings, locks: Locks = NO_LOCKS
+) -> SlowAdvice:
+    """What the rule asks for after a response under these gains.
+
+    diagnosis : what is known of the cause; None where nobody looked. locks : where one of Kc and tau_I is locked, the
+    other takes the whole factor.
+    """
+    reading, numbers = _reading(response, gains, diagnosis, settings, locks)
+    sentence = reading.value.format(cause=diagnosis.reason if diagnosis else "", **numbers.to_dict())
+    if numbers.cure is None:
+        return SlowAdvice(reading, sentence, numbers)
+    kc, tau_i = numbers.cure.kc_factor, numbers.cure.tau_i_factor
+    moved = PidGains(gains.kp * kc, gains.ki * kc / tau_i, gains.kd * kc)  # the rule does not speak of tau_D: it stays
+    return SlowAdvice(reading, sentence, numbers, Tuning("slow-oscillation", "ideal", moved, None, (sentence,)))
+
+
+class _Read(NamedTuple):
+    """A reading and what was weighed for it."""
+
+    reading: SlowReading
+    numbers: SlowNumbers = SlowNumbers()
+
+
+def _reading(
+    response: Response, gains: PidGains, diagnosis: Diagnosis | None, settings: SlowSettings, locks: Locks
+) -> _Read:
+    """The conditions at the head of this file, in order."""
+    if not (gains.kp and gains.ki):
+        return _Read(SlowReading.NO_PI)
+    if diagnosis is not None and diagnosis.cause not in MAY_APPLY:
+        return _Read(SlowReading.OTHER_CAUSE)
+    if response.ending == Ending.SETPOINT:
+        return _Read(SlowReading.CUT_SHORT)
+    if len(response.peaks) < (3 if response.sp_changed else 2):  # the first peak of a setpoint step is its beginning
+        return _Read(SlowReading.NO_SWING)
+    before, last = response.peaks[-2:]
+    period_s = 2 * (last.t_s - before.t_s)
+    swing = SlowSwing(-last.e / before.e, period_s, period_s / (gains.kp / gains.ki), max(2 * math.pi, SHORTEST_PERIOD))
+    if swing.ratio < swing.limit:
+        return _Read(SlowReading.NOT_SLOW, SlowNumbers(swing))
+    zeta = zeta_of(swing.ratio)
+    damping = SlowDamping(zeta, math.exp(-math.pi * zeta / math.sqrt(1 - zeta**2)))
+    if abs(swing.decay - damping.expected) > settings.unlike:
+        return _Read(SlowReading.NOT_ALIKE, SlowNumbers(swing, damping))
+    if zeta >= settings.damped:
+        return _Read(SlowReading.DAMPED, SlowNumbers(swing, damping))
+    printed = slow_oscillation(swing.period_s, gains.kp / gains.ki)
+    # How Kc and tau_I share the factor on their product
+    factor = 1 / zeta**2
+    kc = 1.0 if locks.kc else factor if locks.tau_i else math.sqrt(factor)
+    tau_i = 1.0 if locks.tau_i else factor if locks.kc else math.sqrt(factor)
+    return _Read(SlowReading.APPLIES, SlowNumbers(swing, damping, SlowCure(factor, printed, kc, tau_i)))
+
+
+def zeta_of(ratio: float) -> float:
+    """Damping of PI on an integrating process by its period over tau_I (2 pi and more), 0.71 at most."""
+    q = min((math.pi / ratio) ** 2, 0.25)
+    return math.sqrt((1 - math.sqrt(1 - 4 * q)) / 2)
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,12 +12,12 @@ from retuner.adaptive.region_model.boundary_crossing import (
     Crossing,
     FittedCrossing,
     fitted_crossing,
+    in_motion,
     taught_beside,
     update_across,
 )
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import Agreement, TrackerSettings
-from retuner.adaptive.region_model.varying_process_fit import in_motion
 from retuner.adaptive.schedule_design.record_stretches import CurveAxis
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.gains import PidGains

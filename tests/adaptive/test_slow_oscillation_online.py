@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.guard.request import Locks
 from retuner.adaptive.signals.response import Ending, Peak, Response
-from retuner.adaptive.without_model.slow_oscillation_step import (
+from retuner.adaptive.without_model.proposal_without_model import (
     SlowAdvice,
     SlowReading,
     SlowSettings,

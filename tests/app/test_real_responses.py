@@ -14,7 +14,7 @@ from retuner.adaptive.supervision.response_finder import Completed, ResponseFind
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.without_model.pattern_rule import MOVING, PatternReading, PatternSettings, pattern_rule
-from retuner.adaptive.without_model.slow_oscillation_step import SlowReading, SlowSettings, slow_oscillation_online
+from retuner.adaptive.without_model.proposal_without_model import SlowReading, SlowSettings, slow_oscillation_online
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable
