@@ -234,23 +234,18 @@ class VendorUnits:
         """Every order in which the messages that change something can be written, where each step is a controller."""
         changed = sorted({gain.message for gain in self.gains if old[gain.quantity] != new[gain.quantity]})
         for order in permutations(changed):
+            now, between = dict(old), []
             try:
-                yield Way(order, tuple(self._between(old, new, order)))
+                for message in order[:-1]:
+                    now.update(self.of_message(message, new))
+                    between.append(self.of(now))
             except ValueError:
                 continue
+            yield Way(order, tuple(between))
 
     def of_message(self, message: int, numbers: Mapping[str, float]) -> dict[str, float]:
         """The numbers that one message carries."""
         return {str(gain.quantity): numbers[gain.quantity] for gain in self.gains if gain.message == message}
-
-    def _between(
-        self, old: Mapping[str, float], new: Mapping[str, float], order: tuple[int, ...]
-    ) -> Iterator[PidGains]:
-        """The sets after each message but the last."""
-        now = dict(old)
-        for message in order[:-1]:
-            now.update(self.of_message(message, new))
-            yield self.of(now)
 
     def _shown(self, gains: PidGains) -> IdealGains | SeriesGains | None:
         """The set in the form that the controller's times are told of; None where it needs none."""

@@ -87,16 +87,12 @@ def diagnose_window(
     """
     settings = settings or DiagnosisSettings()
     found = _as_recorded(window, _diagnosed(window, gains, (co_min, co_max), settings, direction, rough_law), settings)
-    return replace(found, diagnosis=_with_period(counted(found.diagnosis)))
-
-
-def _with_period(told: Diagnosis) -> Diagnosis:
-    """The sentence of a swing with the period that was seen, where it does not stand in it."""
+    told = counted(found.diagnosis)
     period_s = told.evidence.get("period_s")
     weighed = "linear_left" in told.evidence and told.cause in {Cause.STICTION, Cause.EXTERNAL, Cause.UNKNOWN}
-    if period_s is None or not weighed or " period " in told.reason:
-        return told
-    return replace(told, reason=f"{told.reason}; it swings at about {float(f'{period_s:.3g}'):g} s")
+    if period_s is not None and weighed and " period " not in told.reason:
+        told = replace(told, reason=f"{told.reason}; it swings at about {float(f'{period_s:.3g}'):g} s")
+    return replace(found, diagnosis=told)
 
 
 def _as_recorded(window: Window, found: RecordVerdict, settings: DiagnosisSettings) -> RecordVerdict:

@@ -31,40 +31,28 @@ def shortcomings(window: Window, seen: Screening, model: ProcessModel | None = N
     if n < FEWEST_SAMPLES:
         found.append(f"{n} samples are little: {FEWEST_SAMPLES} or more are needed")
     if seen.period_s is not None:
-        found += _of_oscillation(seen.period_s, float(window.t_s[-1] - window.t_s[0]), dt)
+        period_s, span_s = seen.period_s, float(window.t_s[-1] - window.t_s[0])
+        if span_s < FEWEST_CYCLES * period_s:
+            found.append(
+                f"the record holds {span_s / period_s:.1f} cycles of {period_s:.3g} s: record at least "
+                f"{WANTED_CYCLES * period_s:.3g} s"
+            )
+        if period_s < SAMPLES_PER_PERIOD * dt:
+            found.append(
+                f"a period of {period_s:.3g} s has {period_s / dt:.1f} samples: sample every "
+                f"{period_s / SAMPLES_PER_PERIOD:.2g} s or faster"
+            )
     if model is not None:
-        found += _of_model(model, dt)
+        times = {"dead time": model.theta_s, "lag": model.tau1_s + model.tau2_s + model.tau3_s}
+        name, longest_s = max(times.items(), key=lambda item: item[1])
+        if longest_s < SAMPLES_PER_TIME * dt:
+            found.append(
+                f"the {name} of the process, {longest_s:.3g} s, has {longest_s / dt:.1f} samples: sample every "
+                f"{longest_s / SAMPLES_PER_TIME:.2g} s or faster"
+            )
     if seen.evidence.get("compression_pv", 1.0) > COMPRESSED:
         found.append(
             f"pv was compressed {seen.evidence['compression_pv']:.0f} times by its recorder: shapes are not to be "
             "trusted; record with exception deviation 0"
         )
     return tuple(found)
-
-
-def _of_oscillation(period_s: float, span_s: float, dt_s: float) -> list[str]:
-    """Cycles and samples of an oscillation."""
-    found = []
-    if span_s < FEWEST_CYCLES * period_s:
-        found.append(
-            f"the record holds {span_s / period_s:.1f} cycles of {period_s:.3g} s: record at least "
-            f"{WANTED_CYCLES * period_s:.3g} s"
-        )
-    if period_s < SAMPLES_PER_PERIOD * dt_s:
-        found.append(
-            f"a period of {period_s:.3g} s has {period_s / dt_s:.1f} samples: sample every "
-            f"{period_s / SAMPLES_PER_PERIOD:.2g} s or faster"
-        )
-    return found
-
-
-def _of_model(model: ProcessModel, dt_s: float) -> list[str]:
-    """Samples in the dead time and the lag of the process."""
-    times = {"dead time": model.theta_s, "lag": model.tau1_s + model.tau2_s + model.tau3_s}
-    name, longest_s = max(times.items(), key=lambda item: item[1])
-    if longest_s >= SAMPLES_PER_TIME * dt_s:
-        return []
-    return [
-        f"the {name} of the process, {longest_s:.3g} s, has {longest_s / dt_s:.1f} samples: sample every "
-        f"{longest_s / SAMPLES_PER_TIME:.2g} s or faster"
-    ]

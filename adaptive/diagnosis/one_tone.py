@@ -11,30 +11,18 @@ import numpy as np
 
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
-from retuner.schedule.late_dataclass import dataclass
 
 PADDED = 4  # zero padding of the spectrum: peaks to a quarter of a line
 
 
-@dataclass(frozen=True, slots=True)
-class ToneSettings:
-    """Settings.
-
-    cycles : of the tone in the record, at the least; 2 to 20, default 4.
-    explained : share of pv's variance that the tone must explain; 0.8 to 0.99, default 0.95.
-    noise : what it leaves as a multiple of pv's noise, at which it explains all; 1 to 2, default 1.5.
-    least : share that it must explain then; 0.2 to 0.9, default 0.5.
-    """
-
-    cycles: float = 4.0
-    explained: float = 0.95
-    noise: float = 1.5
-    least: float = 0.5
+FEWEST_CYCLES = 4.0  # of the tone in the record
+EXPLAINED = 0.95  # share of pv's variance that the tone must explain
+LEFT_NOISE, LEAST = 1.5, 0.5
+"""What it leaves as a multiple of pv's noise, at which it explains all, and the share that it must explain then."""
 
 
-def one_tone(window: Window, settings: ToneSettings | None = None) -> float | None:
+def one_tone(window: Window) -> float | None:
     """Period in s of the tone that is all that moves pv while the setpoint stands still; None where there is more."""
-    settings = settings or ToneSettings()
     pv, n = window.pv, len(window.pv)
     if np.ptp(window.sp) > 0 or np.ptp(pv) == 0:
         return None
@@ -42,14 +30,14 @@ def one_tone(window: Window, settings: ToneSettings | None = None) -> float | No
     power = np.abs(np.fft.rfft(away * np.hanning(n), PADDED * n))
     line = int(np.argmax(power))
     cycles = line / PADDED
-    if not settings.cycles <= cycles <= n / 4:
+    if not FEWEST_CYCLES <= cycles <= n / 4:
         return None
     tried = np.linspace(cycles - 0.5, cycles + 0.5, 4 * PADDED + 1)
     left = [_left(away, f) for f in tried.tolist()]
     best = int(np.argmin(left))
     share = 1.0 - left[best] / float(np.mean(away**2))
-    all_but_noise = math.sqrt(left[best]) <= settings.noise * noise_sigma(pv) and share >= settings.least
-    if share < settings.explained and not all_but_noise:
+    all_but_noise = math.sqrt(left[best]) <= LEFT_NOISE * noise_sigma(pv) and share >= LEAST
+    if share < EXPLAINED and not all_but_noise:
         return None
     return float(window.t_s[-1] - window.t_s[0]) * n / (n - 1) / float(tried[best])
 

@@ -349,7 +349,9 @@ def _doubt(verdict: Diagnosis, loop: JudgedLoop, oscillates: bool) -> Doubt | No
     as_likely = evidence.get("external_lead", -math.inf) > -settings.tone_odds
     if oscillates and not steps and (as_likely or not explained):
         return Doubt(Cause.EXTERNAL, "a lasting oscillation without a setpoint step that could have shown the tuning")
-    share = _explained(loop.best, evidence.get("noise_share", 0.0))
+    pv, noise = loop.best.fit.misfit.record.pv, evidence.get("noise_share", 0.0)
+    away = float(np.var(pv - loop.best.fit.explained) / np.var(pv))  # of pv's variance, its noise with it
+    share = 1 - max(away - noise, 0.0) / max(1 - noise, 1e-9)
     if not steps and share < settings.explained_alone:
         reason = f"perhaps {verdict.cause}: by load steps alone, and {1 - share:.0%} of pv's movement is unexplained"
         return Doubt(Cause.UNKNOWN, reason)
@@ -429,13 +431,6 @@ def _unexplained(steps: float, loads: float, left: float, settings: DiagnosisSet
     if loads >= (max(settings.many_loads_beside, steps) if steps else settings.many_loads):
         return f"an unexplained disturbance: {loads:.0f} load steps explain the record, but so many would explain any"
     return ""
-
-
-def _explained(best: Candidate, noise_share: float) -> float:
-    """Share of pv's variance, its noise left out, that an explanation holds."""
-    pv = best.fit.misfit.record.pv
-    unexplained = float(np.var(pv - best.fit.explained) / np.var(pv))
-    return 1 - max(unexplained - noise_share, 0.0) / max(1 - noise_share, 1e-9)
 
 
 def _waves(explained: FloatArray) -> int:

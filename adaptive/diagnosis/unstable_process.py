@@ -78,10 +78,12 @@ def unstable_process(window: Window, law: SampledLaw) -> UnstableProcess | None:
 
     window : it holds one setpoint step. law : that ran.
     """
-    step = _one_step(window)
-    if step is None:
+    moves, spacing = np.flatnonzero(np.diff(window.sp)), np.diff(window.t_s)
+    usual = median(spacing)
+    if len(moves) != 1 or float(np.max(np.abs(spacing - usual))) > UNEVEN * usual:
         return None
-    at, size = step
+    at = int(moves[0]) + 1
+    size = float(window.sp[at] - window.sp[at - 1])
     pv = (window.pv[at : at + MOST_SAMPLES] - window.sp[0]) / size
     noise = max(noise_sigma(window.pv) / abs(size), MODEL_ERROR)
     for share in SHARES:
@@ -125,17 +127,6 @@ def worse_on(
     before = found.ms(now)
     after = found.ms(law) if found.is_held(law, LONGER * samples) else math.inf
     return (before, after) if after > max(before, limit) else None
-
-
-def _one_step(window: Window) -> tuple[int, float] | None:
-    """Sample and size of the only setpoint step, in a record of even samples that is long enough after it."""
-    moves = np.flatnonzero(np.diff(window.sp))
-    spacing = np.diff(window.t_s)
-    usual = median(spacing)
-    if len(moves) != 1 or float(np.max(np.abs(spacing - usual))) > UNEVEN * usual:
-        return None
-    at = int(moves[0]) + 1
-    return (at, float(window.sp[at] - window.sp[at - 1])) if len(window.sp) - at >= FEWEST_STEP_SAMPLES else None
 
 
 HALF = 0.5

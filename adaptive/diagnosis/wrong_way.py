@@ -29,7 +29,10 @@ MOST_LOADS = 1  # load steps that it may need: what goes the wrong way runs away
 
 def acts_wrong_way(window: Window, direction: int, settings: FitSettings) -> Diagnosis | None:
     """The verdict, where the record shows it. direction : of the controller, the sign of its gain."""
-    window = _while_co_moved(window)
+    away = np.flatnonzero(window.co != window.co[-1])
+    kept = (int(away[-1]) + 2) * (PARTS + 1) // PARTS if away.size else len(window.co)
+    if LEAST_SAMPLES <= kept < len(window.co):  # long after co stood still for good, at a limit, nothing new is told
+        window = window.part(slice(kept))
     # Whether the error grows, and co moves against it as a controller of that direction does, farther and farther
     error, part = window.sp - window.pv, max(len(window.pv) // PARTS, 2)
     end = float(np.mean(error[-part:]))
@@ -60,15 +63,6 @@ def _lead(window: Window, direction: int, settings: FitSettings) -> float | None
         return None
     lead = _best(window, direction, settings).criterion - other.criterion
     return lead if lead >= LEAD else None
-
-
-def _while_co_moved(window: Window) -> Window:
-    """The record until co stood still for good, at a limit, and a fifth more: what came after tells nothing new."""
-    away = np.flatnonzero(window.co != window.co[-1])
-    kept = (int(away[-1]) + 2) * (PARTS + 1) // PARTS if away.size else len(window.co)
-    if kept >= len(window.co) or kept < LEAST_SAMPLES:
-        return window
-    return window.part(slice(kept))
 
 
 def _best(window: Window, sign: int, settings: FitSettings) -> Candidate:

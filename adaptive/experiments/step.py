@@ -117,13 +117,18 @@ def model_by(method: StepMethod, response: RecordedStep) -> ProcessModel:
         slope, t, pv = _steepest(response, len(response.t_s) // RAMP_PART)
         theta = max(t - (pv - response.pv_before) / slope, 0.0)
         return ProcessModel(ProcessType.INTEGRATING, slope / response.co_change, theta_s=theta)
-    work = {
-        StepMethod.TWO_POINT: _two_point,
-        StepMethod.TANGENT: _tangent,
-        StepMethod.REACTION_CURVE: _reaction_curve,
-        StepMethod.PERCENT_63: _percent_63,
-    }
-    tau, theta = work[method](response)
+    if method == StepMethod.TWO_POINT:
+        t2 = _share_time(response, T2_SHARE)
+        tau = 1.5 * (t2 - _share_time(response, T1_SHARE))
+        theta = t2 - tau
+    elif method == StepMethod.TANGENT:
+        slope, t, pv = _steepest(response)
+        tau, theta = response.pv_change / slope, t - (pv - response.pv_before) / slope
+    elif method == StepMethod.REACTION_CURVE:
+        tau, theta = response.pv_change / _steepest(response)[0], _start(response)
+    else:
+        theta = _start(response)
+        tau = _share_time(response, T2_SHARE) - theta
     if tau <= 0:
         raise ValueError(f"{method}: the response is over within a sample; record faster")
     return ProcessModel(ProcessType.FOPDT, response.pv_change / response.co_change, tau, 0.0, max(theta, 0.0))
@@ -133,26 +138,6 @@ def _share_time(response: RecordedStep, share: float) -> float:
     """Time after the step at which a share of the change has happened."""
     level = response.pv_before + share * response.pv_change
     return crossing(response.t_s, response.pv, level, rising=response.pv_change > 0)
-
-
-def _two_point(response: RecordedStep) -> tuple[float, float]:
-    t1, t2 = _share_time(response, T1_SHARE), _share_time(response, T2_SHARE)
-    tau = 1.5 * (t2 - t1)
-    return tau, t2 - tau
-
-
-def _percent_63(response: RecordedStep) -> tuple[float, float]:
-    theta = _start(response)
-    return _share_time(response, T2_SHARE) - theta, theta
-
-
-def _tangent(response: RecordedStep) -> tuple[float, float]:
-    slope, t, pv = _steepest(response)
-    return response.pv_change / slope, t - (pv - response.pv_before) / slope
-
-
-def _reaction_curve(response: RecordedStep) -> tuple[float, float]:
-    return response.pv_change / _steepest(response)[0], _start(response)
 
 
 def _start(response: RecordedStep) -> float:
@@ -267,7 +252,11 @@ def measure(window: Window) -> Overshoot:
     Raises ValueError: the setpoint does not make exactly one step, or pv shows no peak after it, or the record ends
     soon after that.
     """
-    i, dy_s = _setpoint_step(window.sp)
+    moves = np.flatnonzero(np.diff(window.sp))
+    if moves.size != 1:
+        raise ValueError(f"the setpoint makes {moves.size} steps; this method needs exactly one")
+    i = int(moves[0]) + 1
+    dy_s = float(window.sp[i] - window.sp[i - 1])
     t = window.t_s[i:] - window.t_s[i]
     before = float(np.mean(window.pv[: i + 1]))
     sign = math.copysign(1.0, dy_s)
@@ -284,15 +273,6 @@ def measure(window: Window) -> Overshoot:
         raise ValueError("pv still falls after its peak at the end of the record; record longer")
     _, under = _refined(t, -y, bottom)
     return Overshoot(dy_s, dy_p * sign, -under * sign, t_p)
-
-
-def _setpoint_step(sp: FloatArray) -> tuple[int, float]:
-    """Index of the first sample with the new setpoint, and the size of the step."""
-    moves = np.flatnonzero(np.diff(sp))
-    if moves.size != 1:
-        raise ValueError(f"the setpoint makes {moves.size} steps; this method needs exactly one")
-    i = int(moves[0]) + 1
-    return i, float(sp[i] - sp[i - 1])
 
 
 def _first_peak(y: FloatArray, clear: float) -> int | None:

@@ -265,9 +265,14 @@ class Misfit:
         target = np.concatenate([self.whitened(self.record.pv - moved), np.zeros(count)])
         q, triangle = np.linalg.qr(basis)
         inside = q.T @ target
+        size = np.abs(np.diag(triangle))
+        if np.min(size) > USEFUL * np.max(size):
+            c = np.linalg.solve(triangle, inside)
+        else:  # columns that say nothing get zero
+            c = np.linalg.lstsq(triangle, inside, rcond=USEFUL)[0]
         swing = SWING_WEIGHT * swing_excess(self.type, p)
         r = np.append((target - q @ inside) / self.sigma, swing)
-        return Projection(p, q, r, _back(triangle, inside), moved, columns, count, triangle)
+        return Projection(p, q, r, np.asarray(c, dtype=np.float64), moved, columns, count, triangle)
 
     def costs(self, points: Sequence[FloatArray]) -> list[float]:
         """Sum of squares at every point."""
@@ -323,14 +328,6 @@ def _unit(column: FloatArray) -> FloatArray:
     """Scaled to a largest value of one."""
     largest = float(np.max(np.abs(column)))
     return column / largest if largest > 0 else column
-
-
-def _back(triangle: FloatArray, inside: FloatArray) -> FloatArray:
-    """Coefficients from the triangle; columns that say nothing get zero."""
-    size = np.abs(np.diag(triangle))
-    if np.min(size) > USEFUL * np.max(size):
-        return np.asarray(np.linalg.solve(triangle, inside), dtype=np.float64)
-    return np.asarray(np.linalg.lstsq(triangle, inside, rcond=USEFUL)[0], dtype=np.float64)
 
 
 # How the fitted pv moves with each parameter while the linear unknowns are held: what the Jacobian is made of.

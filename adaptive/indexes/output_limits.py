@@ -57,25 +57,19 @@ def at_limits(
     return AtLimits(shares[0], shares[1], co_min is not None or co_max is not None)
 
 
-def _held(top: npt.NDArray[np.bool_], long: npt.NDArray[np.bool_], push: FloatArray) -> bool:
-    """Whether a hand holds co at its extreme. push : of the error, outwards where it is positive."""
-    crossings = int(np.count_nonzero(np.diff(np.sign(push[long]))))
-    return float(np.mean(push[top] < 0)) > BACK or crossings > CROSSINGS * max(len(runs(long)), 1)
-
-
 def _recognised(x: FloatArray, push: FloatArray | None) -> float:
-    """Share of samples at the upper extreme where it looks like a limit, else 0."""
+    """Share of samples at the upper extreme where it looks like a limit, else 0. push : of the error, outwards."""
     top = x == np.max(x)
     lengths = runs(top)
-    if push is not None and _held(top, _long(top), push):
-        return 0.0
+    if push is not None:
+        held = _long(top)
+        crossings = int(np.count_nonzero(np.diff(np.sign(push[held]))))
+        if float(np.mean(push[top] < 0)) > BACK or crossings > CROSSINGS * max(len(runs(held)), 1):
+            return 0.0  # a hand holds co at its extreme
     changes = int(np.count_nonzero(np.diff(x)))
     long = int(np.sum(lengths >= STRETCH))
-    return (
-        float(np.mean(top))
-        if is_limit(len(x), changes, int(np.sum(lengths)), len(lengths), long, int(np.max(lengths)))
-        else 0.0
-    )
+    seen = is_limit(len(x), changes, int(np.sum(lengths)), len(lengths), long, int(np.max(lengths)))
+    return float(np.mean(top)) if seen else 0.0
 
 
 def _long(true: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:

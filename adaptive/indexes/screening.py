@@ -209,8 +209,11 @@ def screen(
         "sp_moving_share": state.sp_moving_share,
         "offset": state.offset,
         **_recording(window, limits),
-        **_setpoint(window),
     }
+    seen = setpoint_responses(window.sp, window.pv)
+    if seen is not None:
+        found |= {"setpoint_steps": float(seen.steps), "setpoint_size": seen.size}
+        found |= {"overshoot": seen.overshoot, "damping": seen.damping}
     period_s = None
     if np.ptp(window.pv) > 0 and np.ptp(window.co) > 0:
         found |= _movement(window, gains, wave)
@@ -243,18 +246,6 @@ def _recording(window: Window, limits: AtLimits) -> dict[str, float | None]:
     if co is not None:
         found |= {"quantum_co": co.quantum, "repeated_co": co.repeated, "compression_co": co.compression}
     return found
-
-
-def _setpoint(window: Window) -> dict[str, float | None]:
-    seen = setpoint_responses(window.sp, window.pv)
-    if seen is None:
-        return {}
-    return {
-        "setpoint_steps": float(seen.steps),
-        "setpoint_size": seen.size,
-        "overshoot": seen.overshoot,
-        "damping": seen.damping,
-    }
 
 
 def _oscillation(window: Window) -> Regularity | None:

@@ -13,7 +13,6 @@ step of the setpoint is one of an output disturbance. derivative_on_setpoint=Fal
 """
 
 import math
-from abc import ABC, abstractmethod
 
 import numpy as np
 
@@ -89,28 +88,10 @@ def _slowest(process: LinearProcess, gains: PidGains) -> float:
     return max(times, default=0.0) or 1.0
 
 
-class Stepper(ABC):
-    """A response by steps: q, the matrix of one step, and what is gained over one step or between two q."""
-
-    step: FloatArray
-    length: float
-    looks = 0
-
-    @abstractmethod
-    def first(self) -> tuple[FloatArray, float, float]:
-        """q after the first 2^FIRST_STEPS_LOG2 steps, and the variation of z and u until then."""
-
-    @abstractmethod
-    def over(self, q: FloatArray) -> tuple[float, float]:
-        """Variation of z and u over the one step from q."""
-
-    @abstractmethod
-    def signals(self, q: FloatArray) -> tuple[Point, Point]:
-        """z with its rate e, and u with its rate, at q."""
-
-
-class _DelayStepper(Stepper):
+class _DelayStepper:
     """The simulation with dead time: one step is one dead time, looked at on fine points."""
+
+    looks = 0
 
     def __init__(self, steps: DelaySteps) -> None:
         self.steps, self.step, self.length = steps, steps.step, 1.0
@@ -165,8 +146,10 @@ def _gain_of_two(start: float, rate: float, end: float, last_rate: float, length
     return abs(top - start) + abs(end - top)
 
 
-class _PlainStepper(Stepper):
+class _PlainStepper:
     """Without dead time: steps so short that their ends say all."""
+
+    looks = 0
 
     def __init__(self, steps: PlainSteps) -> None:
         self.steps, self.step, self.length = steps, steps.step, steps.length
@@ -186,6 +169,14 @@ class _PlainStepper(Stepper):
     def signals(self, q: FloatArray) -> tuple[Point, Point]:
         s = self.steps
         return (float(s.area @ q), float(s.error @ q)), (float(s.output @ q), float(s.rate @ q))
+
+
+Stepper = _DelayStepper | _PlainStepper
+"""A response by steps of the matrix `step`.
+
+first : q after the first 2^FIRST_STEPS_LOG2 steps, and the variation of z and u until then. over : their variation
+over the step from q. signals : z with its rate e, and u with its rate, at q.
+"""
 
 
 def _total(stepper: Stepper, signal: int) -> float:

@@ -195,7 +195,11 @@ def reduce(process: LinearProcess, order: int = 1, leads: Leads = Leads.AUTO) ->
             f"the effective dead time would be {found.theta_s:g} s: the numerator time constants are too "
             'large to be subtracted; use rules T1 to T3 (leads = "rules")'
         )
-    steps = [*parts.steps, *(s.text() for s in found.settings), *_half_text(parts, found, order)]
+    steps = [*parts.steps, *(s.text() for s in found.settings)]
+    more = len(parts.lags_s) - sum(not s.rest_s for s in found.settings) - order
+    if more > 0:
+        lags = f"{more} lag{'s' if more > 1 else ''}"
+        steps.append(f"half rule: {lags} neglected, effective dead time {found.theta_s:.6g} s")
     return Reduction(_model(found), tuple(steps))
 
 
@@ -275,17 +279,6 @@ def _half(parts: _Parts, order: int, theta_s: float) -> _Half:
         theta -= neglected[0] / 2
         retained[-1] += neglected[0] / 2
     return _Half(k, retained, theta, tuple(settings))
-
-
-def _half_text(parts: _Parts, found: _Half, order: int) -> list[str]:
-    """The half rule's own step in words, when it had something to do."""
-    lags = len(parts.lags_s) - sum(not s.rest_s for s in found.settings)
-    if lags <= order:
-        return []
-    return [
-        f"half rule: {lags - order} lag{'s' if lags - order > 1 else ''} neglected, "
-        f"effective dead time {found.theta_s:.6g} s"
-    ]
 
 
 def _model(found: _Half) -> ProcessModel:

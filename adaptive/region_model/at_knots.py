@@ -58,18 +58,14 @@ def carried(
     there = centre_of(regions, region)
     if here == there:
         return model
-
-    def step(log: LogModel) -> Step:
+    steps: dict[ProcessType, Step] = {}
+    known = []
+    for one in model.known:
+        log = one.log
         curve = through.get(log.type) or open_curves(regions, len(log.x))
-        return curve.step(here, there)
-
-    steps = {known.log.type: step(known.log) for known in model.known}
-    known = tuple(replace(k, log=_moved(k.log, steps[k.log.type])) for k in model.known)
-    return replace(model, known=known, plausible=_plausible(model, steps))
-
-
-def _moved(log: LogModel, step: Step) -> LogModel:
-    return LogModel(log.x + step[0], proper_covariance(log.p + step[1]), log.sign, log.type)
+        x, p = steps[log.type] = curve.step(here, there)
+        known.append(replace(one, log=LogModel(log.x + x, proper_covariance(log.p + p), log.sign, log.type)))
+    return replace(model, known=tuple(known), plausible=_plausible(model, steps))
 
 
 def _plausible(model: RegionModel, steps: Mapping[ProcessType, Step]) -> tuple[Plausible, ...]:

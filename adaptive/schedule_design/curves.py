@@ -27,7 +27,6 @@ from retuner.adaptive.schedule_design.joint import (
 )
 from retuner.adaptive.schedule_design.record_stretches import (
     LEVEL_STD,
-    Characteristic,
     CurveAxis,
     CurveShape,
     Second,
@@ -131,10 +130,17 @@ def curves(
     if known is None or len(known.shapes) > FIRST_ORDER:
         constants.append(_settled(constant[0], *_with_second_lag(constant[1], constant[3].z), 1))
     progress("curves", 0.3)
-    bent = [_settled(fit[0], *_bent(fit), 2) for fit in constants]
+    bent = []
+    for one, form, _, now in constants:
+        shapes = (CurveShape.BENT,) * len(form.shapes)
+        bent.append(_settled(one, *form.with_shapes(shapes, now.z, None, shapes), 2))
     progress("the installed characteristic", 0.55)
     felt = over(stretches) if known is None or known.felt is not None else None
-    bent += [_settled(fit[0], *_felt(fit, felt), 1) for fit in bent if felt is not None]
+    if felt is not None:
+        bent += [
+            _settled(one, *form.with_shapes(form.shapes, now.z, felt, form.second_shapes), 1)
+            for one, form, _, now in bent
+        ]
     progress("which of them change", 0.75)
     noise = max(bent, key=_innovations)[2]
     rich = [_under(noise, *fit[:2], fit[3].z) for fit in bent]
@@ -167,18 +173,6 @@ def _chosen(rich: Fit, c: float) -> Curves:
         differences=together.differences,
         second_evidence=told.second_evidence,
     )
-
-
-def _bent(fit: Fit) -> tuple[CurveForm, FloatArray]:
-    _, form, _, now = fit
-    bent = (CurveShape.BENT,) * len(form.shapes)
-    return form.with_shapes(bent, now.z, None, bent)
-
-
-def _felt(fit: Fit, felt: Characteristic) -> tuple[CurveForm, FloatArray]:
-    """The curves with co acting through a characteristic."""
-    _, form, _, now = fit
-    return form.with_shapes(form.shapes, now.z, felt, form.second_shapes)
 
 
 def _with_second_lag(form: CurveForm, z: FloatArray) -> tuple[CurveForm, FloatArray]:

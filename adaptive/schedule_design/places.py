@@ -83,7 +83,11 @@ class Place:
     def judged(self, gains: PidGains) -> Judged:
         """How a set does here; asked once."""
         if gains not in self._judged:
-            self._judged[gains] = self._judge(gains)
+            peaks, setpoint, load = [sensitivity_peak(process, gains) for process in self.processes], math.inf, math.inf
+            if math.isfinite(peaks[0]):
+                setpoint, load = iae(self.model, gains, self.sample_time_s)
+            j = 0.5 * (setpoint / self.iae[0] + load / self.iae[1])
+            self._judged[gains] = Judged(peaks[0], max(peaks), j)
         return self._judged[gains]
 
     def keeps(self, gains: PidGains, limits: DesignLimits) -> bool:
@@ -114,14 +118,6 @@ class Place:
     def _limit(self, limits: DesignLimits) -> float:
         """Limit of Ms here: where its own settings cannot keep what is demanded, what they reach."""
         return max(limits.ms, self.judged(self.own).ms_worst)
-
-    def _judge(self, gains: PidGains) -> Judged:
-        peaks = [sensitivity_peak(process, gains) for process in self.processes]
-        ms, worst = peaks[0], max(peaks)
-        if not math.isfinite(ms):
-            return Judged(ms, worst, math.inf)
-        setpoint, load = iae(self.model, gains, self.sample_time_s)
-        return Judged(ms, worst, 0.5 * (setpoint / self.iae[0] + load / self.iae[1]))
 
 
 ROUNDED = 0.03  # steps of ln of a gain in which J is looked up in a search; a step changes J by about as much

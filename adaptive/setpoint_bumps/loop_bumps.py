@@ -39,26 +39,19 @@ class LoopBumps:
         """Take a sample that the retuner has seen. free : nothing is being written to the controller."""
         if not self.planner.settings.allowed:
             return None
-        return self.planner.step(sample, self._around(sample, free=free))
+        retuner, (low, high) = self._retuner, self._room()
+        wanted = self._what_a_bump_would_teach() if free and retuner.open_question is None else ""
+        gains = retuner.table.gains_of(retuner.region) if retuner.region is not None else None
+        reset_s = abs(gains.kp / gains.ki) if gains is not None and gains.ki else 0.0
+        hour, may_write = self._hour_of(sample.t_s), self._may_write()
+        around = LoopAround(retuner.at_rest, wanted, hour, retuner.band, low, high, may_write, reset_s)
+        return self.planner.step(sample, around)
 
     def decided(self, decision: Decision) -> None:
         """A setpoint response that taught something is evidence; what loads alone teach leaves the process open."""
         taught = decision.agreement is not None and decision.agreement is not Agreement.SILENT and decision.records
         if taught and decision.response is not None and decision.response.sp_changed:
             self.planner.evidence(decision.t_s)
-
-    def _around(self, sample: LoopSample, *, free: bool) -> LoopAround:
-        retuner = self._retuner
-        wanted = self._what_a_bump_would_teach() if free and retuner.open_question is None else ""
-        low, high = self._room()
-        hour = self._hour_of(sample.t_s)
-        return LoopAround(retuner.at_rest, wanted, hour, retuner.band, low, high, self._may_write(), self._reset_s())
-
-    def _reset_s(self) -> float:
-        """Integral time of the gains in force, seconds; 0 without integral action."""
-        region = self._retuner.region
-        gains = self._retuner.table.gains_of(region) if region is not None else None
-        return abs(gains.kp / gains.ki) if gains is not None and gains.ki else 0.0
 
     def _may_write(self) -> bool:
         retuner, region = self._retuner, self._retuner.region

@@ -17,7 +17,6 @@ another process may work it out.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 
 from retuner.adaptive.choice.expected_cost import (
@@ -25,7 +24,6 @@ from retuner.adaptive.choice.expected_cost import (
     Choosable,
     LoopSettings,
     ModelEvidence,
-    Outlook,
     choose,
     outlooks,
 )
@@ -35,7 +33,6 @@ from retuner.adaptive.diagnosis.second_opinion import SWINGING
 from retuner.adaptive.guard import GuardSettings, Proof, prove
 from retuner.adaptive.guard.both_sides_of_border import worst_between
 from retuner.adaptive.guard.step_size import along
-from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import ANEW, Agreement
 from retuner.adaptive.rules.rule import Tuning
@@ -239,38 +236,26 @@ def worth(found: Findings, model: RegionModel, wanted: RobustProposal, proof: Pr
     whole = _proof_of(found, known, wanted.tuning, settings.guard.whole_step()) if proof.step < 1.0 else None
     sets = [now, *(one.gains for one in ways), whole.gains if whole else None]
     placed = [choosable(record, known, gains) for gains in sets if gains is not None]
-    seen, asked = _seen(found, model), 1 + len(ways)
-    looked = _looked(found, proof.allowed, placed, seen)
+    learned, asked = found.learned, 1 + len(ways)
+    assert learned is not None  # after the stage of identification
+    seen = ModelEvidence(  # what bears on whether the models are a fiction
+        model.records + int(found.joined > 0),
+        found.excitation_before.clear + int(found.clear and not record.response.taken_over),
+        len(learned.estimate.load_times_s),
+        any(sample.limited for sample in record.own),
+        found.unexplained > settings.swing.unexplained,
+        decay_seen(record.pattern),
+    )
+    loop = LoopSettings(settings.sample_time_s, settings.setpoint_weight, settings.filter_s)
+    by_setpoint = found.excitation_now.setpoints > 0 or found.joined > 0
+    surely = settings.choice if by_setpoint else settings.choice.by_loads()  # by loads alone models are less sure
+    looked = outlooks(proof.allowed, placed, seen.decay, loop, surely)
     way = looked[asked] if len(looked) > asked else None
     choice = choose(looked[:asked], way, seen, settings.choice)
     return choice, ways[choice.best - 1]
 
 
-def _looked(
-    found: Findings, allowed: Sequence[Plausible], sets: Sequence[Choosable], seen: ModelEvidence
-) -> list[Outlook]:
-    """What each set is expected to do on models; these are less sure where no setpoint step is among the records."""
-    settings = found.settings
-    loop = LoopSettings(settings.sample_time_s, settings.setpoint_weight, settings.filter_s)
-    by_setpoint = found.excitation_now.setpoints > 0 or found.joined > 0
-    return outlooks(allowed, sets, seen.decay, loop, settings.choice if by_setpoint else settings.choice.by_loads())
-
-
 PARTS = (0.75, 0.5, 0.25)  # shares of a proved change that are weighed beside it
-
-
-def _seen(found: Findings, model: RegionModel) -> ModelEvidence:
-    """What bears on whether the models are a fiction."""
-    record, learned = found.record, found.learned
-    assert learned is not None  # after the stage of identification
-    return ModelEvidence(
-        model.records + int(found.joined > 0),
-        found.excitation_before.clear + int(found.clear and not record.response.taken_over),
-        len(learned.estimate.load_times_s),
-        any(sample.limited for sample in record.own),
-        found.unexplained > found.settings.swing.unexplained,
-        decay_seen(record.pattern),
-    )
 
 
 def gains_that_win(found: Findings, own: Outcome) -> Outcome:

@@ -20,20 +20,19 @@ from dataclasses import replace
 from retuner.adaptive.decision_numbers import Basis
 from retuner.adaptive.fit.structure import SLOPE, model_at
 from retuner.adaptive.guard import Proof, prove
-from retuner.adaptive.guard.request import ChangeRequest
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.region_model.from_neighbours import borrowed
 from retuner.adaptive.region_model.region_curves import centre_of, lenders
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import Agreement, TrackerSettings, predicted
 from retuner.adaptive.supervision.decision import Outcome
-from retuner.adaptive.supervision.findings import BETWEEN, Findings, RobustProposal, over_limit, tuning_of
+from retuner.adaptive.supervision.findings import BETWEEN, Findings, over_limit, tuning_of
 from retuner.adaptive.supervision.judge_evidence import prediction_of
 from retuner.adaptive.supervision.known_processes import KnownProcesses, change_request
 from retuner.adaptive.trial.batch_responses import ClosedLoop
 from retuner.adaptive.trial.load_variability import load_variability, load_variability_there
 from retuner.adaptive.trial.posterior_check import costs
-from retuner.adaptive.trial.prediction import Prediction, decay_seen
+from retuner.adaptive.trial.prediction import decay_seen
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import Lookup
 
@@ -76,7 +75,10 @@ def _due(found: Findings, region: int, known: Mapping[int, RegionModel]) -> Outc
     if not wanted.ready or not wanted.diagnosis.retune:
         return None
     request = change_request(wanted.tuning, region, record.commissioned, asked, None)
-    proof = prove(_counted(request, known), settings.guard)
+    if request.evidence.borrowed:  # what is lent rests on the records of those that lend
+        records = min(one.records for one in known.values() if one.identifiable)
+        request = replace(request, evidence=replace(request.evidence, records=records))
+    proof = prove(request, settings.guard)
     place = (*centre_of(table.regions, region), 0.0)
     prediction = prediction_of(proof, table, region, (place[0], place[1]), None, settings)
     if prediction is None or proof.gains is None:
@@ -85,7 +87,16 @@ def _due(found: Findings, region: int, known: Mapping[int, RegionModel]) -> Outc
         region in found.question.away or not _far_off(found, region, proof.allowed, proof.gains)
     ):
         return None
-    return _result(model, wanted, proof, replace(prediction, wander=_wander(found, proof)))
+    by = model.reason if not model.records else "known by responses that passed through"
+    return Outcome(
+        proof.code,
+        f"{by}; {wanted.diagnosis.reason}",
+        diagnosis=wanted.diagnosis,
+        proposal=wanted.tuning,
+        basis=Basis.MODEL,
+        proof=proof,
+        prediction=replace(prediction, wander=_wander(found, proof)),
+    )
 
 
 def _known_of(found: Findings, region: int, known: Mapping[int, RegionModel]) -> RegionModel | None:
@@ -97,14 +108,6 @@ def _known_of(found: Findings, region: int, known: Mapping[int, RegionModel]) ->
     if own is None and len(lenders(known, sign)) < LEAST_LENDERS:
         return None
     return borrowed(known, region, record.table.regions, now_s, sign, settings.borrowing, settings.tracker, own)
-
-
-def _counted(request: ChangeRequest, known: Mapping[int, RegionModel]) -> ChangeRequest:
-    """What is lent rests on the records of those that lend."""
-    if not request.evidence.borrowed:
-        return request
-    records = min(model.records for model in known.values() if model.identifiable)
-    return replace(request, evidence=replace(request.evidence, records=records))
 
 
 def _far_off(found: Findings, region: int, models: Sequence[Plausible], now: PidGains) -> bool:
@@ -133,20 +136,6 @@ def _wander(found: Findings, proof: Proof) -> float:
         ClosedLoop(each, gains, *more) for each, gains in zip(sampled, (record.in_force, proof.gains), strict=True)
     ]
     return load_variability_there(seen, record.window.noise_std, loops[0], loops[1])
-
-
-def _result(model: RegionModel, wanted: RobustProposal, proof: Proof, prediction: Prediction) -> Outcome:
-    """The change as the result of a response in that region."""
-    known = model.reason if not model.records else "known by responses that passed through"
-    return Outcome(
-        proof.code,
-        f"{known}; {wanted.diagnosis.reason}",
-        diagnosis=wanted.diagnosis,
-        proposal=wanted.tuning,
-        basis=Basis.MODEL,
-        proof=proof,
-        prediction=prediction,
-    )
 
 
 # What the table itself says of a region that nobody has watched: its set is as right there as others are.

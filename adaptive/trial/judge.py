@@ -26,7 +26,6 @@ The travel of the output is told, and not judged: in a recorded output it is mos
 
 import math
 from enum import StrEnum
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -137,20 +136,6 @@ class JudgedResponse:
     robust: bool = False
 
 
-class _Swings(NamedTuple):
-    """What the decay says against the set, empty for nothing."""
-
-    words: str
-    numbers: SwingNumbers
-
-
-class _Costs(NamedTuple):
-    """What the IAE says against the set, empty for nothing; numbers : None where it cannot be measured."""
-
-    words: str = ""
-    numbers: UpsetNumbers | None = None
-
-
 def judge(
     seen: JudgedResponse, prediction: Prediction, gains: PidGains, settings: TrialSettings, *, more: bool = False
 ) -> Judgement:
@@ -176,20 +161,20 @@ def judge(
         else (prediction.load_step, prediction.load_before)
     )
     sigma = sigma_of(seen.response.band, prediction)
-    swings = _swings(seen.response, now, prediction.decay_before(setpoint), sigma, settings)
+    swings, decay = _swings(seen.response, now, prediction.decay_before(setpoint), sigma, settings)
     ran_away = prediction.decay_seen is not None and prediction.decay_seen > max(
         now.decay.high, settings.harmless_decay
     )
     before = then.iae.best if math.isfinite(then.iae.best) or ran_away else 0.0
-    costs = _costs(seen, gains, now, before, sigma, settings)
-    numbers = TrialNumbers(peaks, posterior, swings.numbers, costs.numbers)
-    told = "; ".join(filter(None, (swings.words, costs.words)))
-    by_loads = "" if worse else _by_loads(seen, told, settings, robust=excused or (seen.robust and not costs.words))
+    costs, upset = _costs(seen, gains, now, before, sigma, settings)
+    numbers = TrialNumbers(peaks, posterior, decay, upset)
+    told = "; ".join(filter(None, (swings, costs)))
+    by_loads = "" if worse else _by_loads(seen, told, settings, robust=excused or (seen.robust and not costs))
     if by_loads:
         return _by_posterior(by_loads, seen.posterior, settings, numbers)
     if told or worse:
         return Judgement(TrialFinding.WORSE, "; ".join(filter(None, (told, worse))), numbers)
-    return _not_worse(seen, now, swings.numbers, numbers, settings)
+    return _not_worse(seen, now, decay, numbers, settings)
 
 
 def _by_loads(seen: JudgedResponse, told: str, settings: TrialSettings, *, robust: bool) -> str:
@@ -278,7 +263,10 @@ def _unlike_a_step(seen: JudgedResponse, settings: TrialSettings) -> str:
     return ""
 
 
-def _swings(response: Response, now: Expected, before: float, sigma: float, settings: TrialSettings) -> _Swings:
+def _swings(
+    response: Response, now: Expected, before: float, sigma: float, settings: TrialSettings
+) -> tuple[str, SwingNumbers]:
+    """What the decay says against the set, empty for nothing."""
     peaks = [peak.e for peak in response.peaks]
     limit = max(now.decay.high + settings.decay_slack, settings.harmless_decay)
     sure = None
@@ -291,38 +279,39 @@ def _swings(response: Response, now: Expected, before: float, sigma: float, sett
         )
     numbers = SwingNumbers(*swing(peaks, response.band), limit, now.decay.best, before, sure)
     if sure is None or sure <= limit or sure <= before:
-        return _Swings("", numbers)
+        return "", numbers
     words = (
         f"{WORSE_WORDS}half-cycle decay ratio {numbers.decay:.2f} (at least {sure:.2f} allowing for noise; limit "
         f"{limit:.2f}), predicted at most {now.decay.high:.2f}; previous gains {before:.2f}"
     )
-    return _Swings(words, numbers)
+    return words, numbers
 
 
 def _costs(
     seen: JudgedResponse, gains: PidGains, now: Expected, before: float, sigma: float, settings: TrialSettings
-) -> _Costs:
+) -> tuple[str, UpsetNumbers | None]:
+    """What the IAE says against the set, empty for nothing; no numbers where it cannot be measured."""
     response, window = seen.response, seen.window
     during = _during(seen)
     e, t = (window.sp - window.pv)[during], window.t_s[during]
     if len(t) < 3 or seen.limited_share > LIMITED:
-        return _Costs()
+        return "", None
     noise = MEAN_OF_NOISE * sigma * float(t[-1] - t[0])
-    iae = max(_area(np.abs(e), t) - noise, 0.0)
+    iae = max(float(trapezoid(np.abs(e), t)) - noise, 0.0)
     unit = _unit(seen, gains, e, t, iae / settings.iae_slack)
     if unit <= 0:
-        return _Costs()
+        return "", None
     measured, limit = iae / unit, now.iae.high * settings.iae_slack
     travel = float(np.sum(np.abs(np.diff(window.co[during])))) / unit
     held_against = (storable(now.iae.best), storable(before), storable(limit))
     numbers = UpsetNumbers(measured, *held_against, travel, storable(now.travel.best))
     if measured <= limit or measured <= before:
-        return _Costs("", numbers)
+        return "", numbers
     words = (
         f"{WORSE_WORDS}IAE {measured:.3g} {_PER[response.sp_changed]} (limit {limit:.3g}), predicted at most "
         f"{now.iae.high:.3g}; previous gains {before:.3g}"
     )
-    return _Costs(words, numbers)
+    return words, numbers
 
 
 def _during(seen: JudgedResponse) -> NDArray[np.bool_]:
@@ -342,12 +331,8 @@ def _unit(seen: JudgedResponse, gains: PidGains, e: FloatArray, t: FloatArray, l
         before = seen.window.sp[seen.window.t_s < seen.response.t_start_s]
         after = median(seen.window.sp[_during(seen)])
         return abs(after - float(before[-1])) if before.size else 0.0
-    taken_over = abs(_area(e, t))
+    taken_over = abs(float(trapezoid(e, t)))
     return abs(gains.ki) * taken_over if taken_over >= least else 0.0
-
-
-def _area(values: FloatArray, t: FloatArray) -> float:
-    return float(trapezoid(values, t))
 
 
 def _beyond(swing: SwingNumbers) -> str:

@@ -10,7 +10,7 @@ from retuner.adaptive.trial.prediction import Prediction
 from retuner.adaptive.trial.rollback import Rollback, RollbackNumbers, SetsThatRan
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
-from retuner.schedule.plain_values import plain_values
+from retuner.schedule.plain_values import plain_value, plain_values
 
 MOST_EARLIER = 4  # sets that are remembered of those that ran in a region
 
@@ -63,15 +63,16 @@ class Trial:
 
     def to_dict(self) -> dict[str, object]:
         """Plain JSON values."""
+        back, seen = self.back, self.seen
         return {
             "phase": self.phase.name.lower(),
             "old": _gains_out(self.old),
             "new": _gains_out(self.new),
             **plain_values(self, "promise=prediction ran since_s kept silent undos=rollbacks edits until_s"),
             "cause": self.cause.name.lower() if self.cause else None,
-            "back": _back_out(self.back),
+            "back": back and {"gains": _gains_out(back.gains), **plain_values(back, "stays reason numbers")},
             "earlier": [_gains_out(gains) for gains in self.earlier],
-            "seen": _seen_out(self.seen),
+            "seen": seen and plain_value(seen._asdict()),
         }
 
     @classmethod
@@ -107,24 +108,11 @@ def _gains_in(values: list[float] | None) -> PidGains | None:
     return PidGains(*values) if values else None
 
 
-def _back_out(back: Rollback | None) -> dict[str, object] | None:
-    if back is None:
-        return None
-    numbers = back.numbers.to_dict() if back.numbers else None
-    return {"gains": _gains_out(back.gains), "stays": back.stays, "reason": back.reason, "numbers": numbers}
-
-
 def _back_in(body: Mapping[str, Any] | None) -> Rollback | None:
     if body is None:
         return None
     numbers = RollbackNumbers(**body["numbers"]) if body["numbers"] else None
     return Rollback(PidGains(*body["gains"]), bool(body["stays"]), str(body["reason"]), numbers)
-
-
-def _seen_out(seen: DivergenceState | None) -> dict[str, float | None] | None:
-    if seen is None:
-        return None
-    return {name: None if math.isinf(value) else value for name, value in seen._asdict().items()}
 
 
 def _seen_in(body: Mapping[str, Any] | None) -> DivergenceState | None:

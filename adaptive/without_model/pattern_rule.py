@@ -107,25 +107,20 @@ def pattern_numbers(response: Response, window: Window) -> PatternNumbers:
     """
     during = (window.t_s >= response.t_start_s) & (window.t_s <= response.t_end_s)
     height = float(np.max(np.abs(window.sp - window.pv)[during], initial=0.0))
-    # None without one
-    overshoot, period_s = response.overshoot, response.period_s
+    overshoot, period_s, damping = response.overshoot, response.period_s, response.damping  # None without one
+    third = None
+    if damping is not None:
+        first_s, second_s, third_s = (peak.t_s for peak in response.peaks)
+        third = ThirdPeak(damping, second_s - first_s, third_s - second_s)
     return PatternNumbers(
         peaks=float(len(response.peaks)),
         height_bands=height / response.band,
         limited_share=_limited_share(window, during, response.band),
         second=(None if overshoot is None or period_s is None else SecondPeak(overshoot, period_s)),
-        third=_third_peak(response),
+        third=third,
         tenth_s=_tenth_s(response, window) if response.sp_changed else None,
         after_load=None if response.sp_changed else _of_load(response, window),
     )
-
-
-def _third_peak(response: Response) -> ThirdPeak | None:
-    damping = response.damping
-    if damping is None:
-        return None
-    first, second, third = (peak.t_s for peak in response.peaks)
-    return ThirdPeak(damping, second - first, third - second)
 
 
 def _limited_share(window: Window, during: npt.NDArray[np.bool_], band: float) -> float:
@@ -164,16 +159,12 @@ def _of_load(response: Response, window: Window) -> LoadNumbers | None:
     rise_s, tail_s = float(t_s[top]), float(t_s[outside[-1]] - t_s[top])
     before = (window.sp - window.pv)[window.t_s < response.t_start_s][-SMOOTHED:]
     left_bands = abs(float(np.mean(before))) / response.band if before.size else 0.0
-    rebound = _rebound(_smooth(error), response.band)
-    return LoadNumbers(rise_s, tail_s, rebound, left_bands, *_of_co(window.co, during))
-
-
-def _rebound(error: FloatArray, band: float) -> float:
-    """Largest growth on the way back, as a share of the largest error; half a band of it may be noise."""
-    top = int(np.argmax(np.abs(error)))
-    back = error[top:] * np.sign(error[top])
+    smooth = _smooth(error)
+    largest = int(np.argmax(np.abs(smooth)))
+    back = smooth[largest:] * np.sign(smooth[largest])  # its way back, and how far it grows again
     growth = float(np.max(back - np.minimum.accumulate(back)))
-    return max(growth - band / 2, 0.0) / float(back[0]) if back[0] else 0.0
+    rebound = max(growth - response.band / 2, 0.0) / float(back[0]) if back[0] else 0.0  # half a band may be noise
+    return LoadNumbers(rise_s, tail_s, rebound, left_bands, *_of_co(window.co, during))
 
 
 def _of_co(co: FloatArray, during: npt.NDArray[np.bool_]) -> tuple[float, float | None]:
