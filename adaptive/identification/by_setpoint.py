@@ -272,7 +272,10 @@ def _told(
     log, newest, noise = alternatives[0].log, records[-1], left[1]
     wide = replace(settings, gain_std_limit=UNSETTLED, lag_std_limit=math.inf)
     open_ = left_open(log, around, newest.dt_s, newest.reach * newest.dt_s, wide)
-    open_ = open_ or _integral_open(around, newest.dt_s, wide)
+    spread = integral_spread(around, newest.dt_s)
+    if not open_ and spread > wide.gain_std_limit:  # the models ask for integral actions too far from each other
+        known, needed = factors_text(spread, wide.gain_std_limit)
+        open_ = f"the integral action is uncertain by a factor of {known} (limit {needed})"
     steps = sum(len(one.steps) for one in records)
     reason = f"{steps} setpoint steps to and fro: {open_ or NAMES[log.type]}"
     moved = float(np.var(newest.pv[newest.first :]))
@@ -331,15 +334,6 @@ def integral_spread(around: Sequence[Plausible], dt_s: float) -> float:
     return (max(logs) - min(logs)) / (2 * OUT)
 
 
-def _integral_open(around: Sequence[Plausible], dt_s: float, settings: FitSettings) -> str:
-    """Words where the models still allowed ask for integral actions too far from each other; empty where they agree."""
-    spread = integral_spread(around, dt_s)
-    if spread <= settings.gain_std_limit:
-        return ""
-    known, needed = factors_text(spread, settings.gain_std_limit)
-    return f"the integral action is uncertain by a factor of {known} (limit {needed})"
-
-
 def _alternative(one: SetpointFit, sign: int, inflation: float, n: int) -> Alternative:
     """Covariance, and compression for the Kalman filter."""
     q, information = np.linalg.qr(one.slopes / math.sqrt(inflation))
@@ -357,7 +351,10 @@ def noise_filter(left: Sequence[FloatArray], misfit: float) -> NoiseFilter:
     misfit : standard deviation of what no structure explains, pv units.
     """
     most = max(order for order in ORDERS if order * SAMPLES_A_TERM <= min(map(len, left)))
-    past = np.concatenate([_past(v, most) for v in left])
+    past = np.zeros((0, most))  # the samples before each one, the latest first
+    for v in left:
+        own = [v[most - k : len(v) - k] for k in range(1, most + 1)]
+        past = np.concatenate([past, np.stack(own, 1) if most else np.zeros((len(v), 0))])
     now = np.concatenate([v[most:] for v in left])
     n, floor = len(now), misfit**2
     normal, against = past.T @ past + n * floor * np.eye(most), past.T @ now
@@ -369,11 +366,6 @@ def noise_filter(left: Sequence[FloatArray], misfit: float) -> NoiseFilter:
         if criterion < best[0]:
             best = (criterion, NoiseFilter(-a, math.sqrt(variance)))
     return best[1]
-
-
-def _past(v: FloatArray, most: int) -> FloatArray:
-    """The samples before each one, the latest first, shape (n - most, most)."""
-    return np.stack([v[most - k : len(v) - k] for k in range(1, most + 1)], 1) if most else np.zeros((len(v), 0))
 
 
 def _whitened(values: FloatArray, ar: FloatArray) -> FloatArray:

@@ -103,7 +103,9 @@ def falling_peak(loop: OpenLoop) -> float | None:
     before, (size, w) = math.inf, points[0]
     for after, next_w in (*points[1:], END):
         if size <= worth and before >= size <= after:
-            best = max(best, _refined(loop, _vertex(before, size, after, w), size))
+            bend = before - 2 * size + after  # of a parabola through three points a STEP apart (or less: then nearly)
+            vertex = w * STEP ** (0.5 * (before - after) / bend) if 0 < bend < math.inf else w
+            best = max(best, _refined(loop, vertex, size))
         before, size, w = size, after, next_w
     return best
 
@@ -201,12 +203,6 @@ def _march(at: Evaluator, wc: float, start: complex, theta: float) -> tuple[list
             below.reverse()
             return below + above, best
     return None
-
-
-def _vertex(before: float, least: float, after: float, w: float) -> float:
-    """Frequency of the vertex of a parabola through three points a STEP apart (or less: then nearly)."""
-    bend = before - 2 * least + after
-    return w * STEP ** (0.5 * (before - after) / bend) if 0 < bend < math.inf else w
 
 
 def _refined(loop: OpenLoop, w: float, found: float) -> float:

@@ -237,11 +237,14 @@ def _split(
     against_time = (one if in_time is None else in_time.left) - cut.left
     explains = one - cut.left > limit and against_time >= settings.against_time
     consistent = cut.left <= chdtri(SIZE * (len(placed) - 2), settings.alpha)
-    if not (explains and consistent and _is_worth_it(regions, region, k, cut, settings)):
+    apart = cut.above.mean - cut.below.mean
+    low, high = regions.span(region, k)
+    room = min(cut.border - low, high - cut.border)  # the border leaves room for the hysteresis on both sides
+    differs = float(np.max(np.abs(apart))) >= math.log(settings.split_factor)
+    if not (explains and consistent and differs and room > 0 and room >= 2 * regions.axes[k].hysteresis):
         return None
     places, counted = (regions.names[region],), (cut.below.count, cut.above.count)
     numbers = (one - cut.left, limit, against_time)
-    apart = cut.above.mean - cut.below.mean
     return _advice(AdviceKind.SPLIT, places, regions.axes[k], cut.border, apart, counted, *numbers)
 
 
@@ -257,14 +260,6 @@ def _advice(
     """The advice on one border. apart : difference of the means in logarithms. numbers : what was weighed."""
     gain, delay = math.exp(float(apart[0])), math.exp(float(apart[1]))
     return RegionAdvice(kind, places, axis.label, axis.unit, border, gain, delay, counted, *numbers)
-
-
-def _is_worth_it(regions: Regions, region: int, k: int, cut: _RecordCut, settings: AdviceSettings) -> bool:
-    """Whether the two sides differ by enough, and the border leaves room for the hysteresis on both."""
-    apart = float(np.max(np.abs(cut.above.mean - cut.below.mean)))
-    low, high = regions.span(region, k)
-    room = min(cut.border - low, high - cut.border)
-    return apart >= math.log(settings.split_factor) and room > 0 and room >= 2 * regions.axes[k].hysteresis
 
 
 def _merges(

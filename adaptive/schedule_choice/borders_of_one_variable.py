@@ -108,7 +108,10 @@ Knot = tuple[int, PidGains]  # A place's index, and its set
 
 def knots_of_fewest_sets(places: Sequence[Place], limits: DesignLimits, most: int) -> Layout | None:
     """The fewest knots; None when `most` do not suffice."""
-    rows = [_row(places, factor, limits) for factor in CALMER]
+    rows: list[list[Knot]] = []  # the known places with their own gains times a factor, where these keep the limits
+    for factor in CALMER:
+        own = [(i, times(p.own, factor)) for i, p in enumerate(places) if p.known]
+        rows.append([(i, gains) for i, gains in own if places[i].keeps(gains, limits)])
     reached: dict[Knot, list[Knot]] = {}
     ways: list[tuple[Knot, ...]] = [
         (knot,) for row in rows for knot in row if all(p.keeps(knot[1], limits) for p in places[: knot[0]])
@@ -124,12 +127,6 @@ def knots_of_fewest_sets(places: Sequence[Place], limits: DesignLimits, most: in
             reached[end] = [knot for row in rows for knot in _within_reach(places, end, row, limits)]
         ways = _longer(places, ways, reached)
     return None
-
-
-def _row(places: Sequence[Place], factor: float, limits: DesignLimits) -> list[Knot]:
-    """The known places with their own gains times a factor, where these keep the limits."""
-    found = [(i, times(p.own, factor)) for i, p in enumerate(places) if p.known]
-    return [(i, gains) for i, gains in found if places[i].keeps(gains, limits)]
 
 
 NEARER = 4  # places short of the farthest that are tried as well: edges must fit between knots
@@ -187,13 +184,6 @@ def _room(centres: Sequence[float]) -> tuple[float, float] | None:
 EDGES_TRIED = 39  # places of the lowest edge that are tried: that counts with which the outer edges stand out least
 
 
-def _edges(centres: Sequence[float], lowest: float) -> list[float]:
-    edges = [lowest]
-    for c in centres:
-        edges.append(2 * c - edges[-1])
-    return edges
-
-
 def _knotted(places: Sequence[Place], way: Sequence[Knot]) -> Layout | None:
     """Edges whose middles are the knots; None where there are none in order."""
     centres = [places[i].x for i, _ in way]
@@ -204,6 +194,9 @@ def _knotted(places: Sequence[Place], way: Sequence[Knot]) -> Layout | None:
     if room is None:
         return None
     low, high = places[0].x, places[-1].x
-    tried = [_edges(centres, e) for e in np.linspace(*room, EDGES_TRIED + 2).tolist()[1:-1]]
+    tried = [[lowest] for lowest in np.linspace(*room, EDGES_TRIED + 2).tolist()[1:-1]]
+    for one in tried:
+        for c in centres:
+            one.append(2 * c - one[-1])
     edges = min(tried, key=lambda e: max(low - e[0], 0.0) ** 2 + max(e[-1] - high, 0.0) ** 2)
     return Layout(Lookup.INTERPOLATED, tuple(edges), sets, (0.0,) * (len(centres) - 1))
