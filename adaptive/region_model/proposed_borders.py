@@ -188,7 +188,8 @@ def proposed_borders(
     count, kept, then = sum(map(len, places.values())), sum(one.kept for one in now.values()), sum(best.kept.values())
     if not told or then - kept < WORTH * PLACES:
         return None
-    ms = max(_ms_at(place, now[region].gains) for region, row in places.items() for place in row)
+    peaks = (sensitivity_peak(p.processes[0], now[region].gains) for region, row in places.items() for p in row)
+    ms = max(peaks)
     return Refinement(best.table, count, kept, then, ms, _largest_ms(best.table, places), wanted, told)
 
 
@@ -218,11 +219,7 @@ def _known_places(
 
 
 def _largest_ms(table: GainTable, places: Mapping[int, Sequence[Place]]) -> float:
-    return max(_ms_at(place, in_force(table, place.x)) for row in places.values() for place in row)
-
-
-def _ms_at(place: Place, gains: PidGains) -> float:
-    return sensitivity_peak(place.processes[0], gains)
+    return max(sensitivity_peak(p.processes[0], in_force(table, p.x)) for row in places.values() for p in row)
 
 
 def in_force(table: GainTable, x: float) -> PidGains:

@@ -72,7 +72,7 @@ def place_of_records(region_model: RegionModel, regions: Regions, region: int) -
 
 def open_curves(regions: Regions, d: int) -> RegionCurves:
     """The curves of d parameters before any record."""
-    axes = _axes(regions)
+    axes = tuple(CurveAxis(axis.low, axis.high) for axis in regions.axes)
     size = d * _size(axes)
     return RegionCurves(axes, np.zeros(d), np.zeros(size), np.eye(size))
 
@@ -109,7 +109,7 @@ def curves(
 
 def _through(regions: Regions, places: list[Place], logs: list[LogModel]) -> RegionCurves:
     centre = np.mean([log.x for log in logs], axis=0)
-    axes, d = _axes(regions), len(centre)
+    axes, d = tuple(CurveAxis(axis.low, axis.high) for axis in regions.axes), len(centre)
     rows = [_rows(axes, place, d) for place in places]
     size = rows[0].shape[1]
     precision, weighted = np.zeros((size, size)), np.zeros(size)
@@ -144,10 +144,6 @@ def _shaped(precision: FloatArray, weighted: FloatArray, kept: list[int]) -> tup
     inside = np.linalg.inv(whole)
     z[kept], p[np.ix_(kept, kept)] = inside @ weighted[kept], inside
     return z, p, 0.5 * float(weighted[kept] @ z[kept] - np.linalg.slogdet(whole)[1])
-
-
-def _axes(regions: Regions) -> tuple[CurveAxis, ...]:
-    return tuple(CurveAxis(axis.low, axis.high) for axis in regions.axes)
 
 
 def _size(axes: tuple[CurveAxis, ...]) -> int:

@@ -74,14 +74,14 @@ def _moves(samples: Sequence[LoopSample]) -> list[SetpointMove]:
 def _taken_for(moves: Sequence[SetpointMove], samples: Sequence[LoopSample]) -> StepSequence | None:
     """These moves as steps to and fro, if all of them are that."""
     half, whole, closed = moves[0].size, list[int](), None
-    wanted = -2 * half
+    wanted, same = -2 * half, SAME * abs(half)
     for move in moves[1:]:
         if closed is not None:
             return None
-        if _is_like(move.size, wanted, half):
+        if abs(move.size - wanted) <= same:
             whole.append(move.at)
             wanted = -wanted
-        elif whole and _is_like(move.size, wanted / 2, half):
+        elif whole and abs(move.size - wanted / 2) <= same:
             closed = move.at
         else:
             return None
@@ -91,7 +91,3 @@ def _taken_for(moves: Sequence[SetpointMove], samples: Sequence[LoopSample]) -> 
     if closed is None and len(samples) - moves[-1].at > OVERDUE * max(apart):
         return None
     return StepSequence(samples[moves[0].at - 1].sp, moves[0].at, tuple(whole), closed)
-
-
-def _is_like(size: float, wanted: float, half: float) -> bool:
-    return abs(size - wanted) <= SAME * abs(half)

@@ -266,6 +266,10 @@ class _Counted(NamedTuple):
     against: Ground | None = None
 
 
+def _at_most(limit: float, numbers: AdmissionNumbers, value: float, ground: Ground) -> _Counted:
+    return _Counted(numbers) if value <= limit else _Counted(replace(numbers, limit=limit), ground)
+
+
 def _kept_whole(seen: _JudgedWindow) -> _Counted:
     """The response is kept whole: nothing of it was forgotten before it ended."""
     if seen.window.t_s[0] <= seen.response.t_start_s and bool(np.any(seen.during)):
@@ -329,17 +333,13 @@ def _in_region(seen: _JudgedWindow) -> _Counted:
     """It stayed inside, where it is not taken as one that crossed a border (region_model/boundary_crossing.py)."""
     inside, limit = seen.inside, seen.settings.outside_share
     outside = sum(inside is not None and not inside(sample) for sample in seen.own) / len(seen.own)
-    if outside <= limit:
-        return _Counted(AdmissionNumbers(outside_share=outside))
-    return _Counted(AdmissionNumbers(outside_share=outside, limit=limit), Ground.LEFT_REGION)
+    return _at_most(limit, AdmissionNumbers(outside_share=outside), outside, Ground.LEFT_REGION)
 
 
 def _same_gains(seen: _JudgedWindow) -> _Counted:
     """One controller all the time, as the controller itself reports it."""
     changes, limit = float(sum(a.revision != b.revision for a, b in pairwise(seen.own))), seen.settings.changes_most
-    if changes <= limit:
-        return _Counted(AdmissionNumbers(changes=changes))
-    return _Counted(AdmissionNumbers(changes=changes, limit=float(limit)), Ground.GAINS_CHANGED)
+    return _at_most(float(limit), AdmissionNumbers(changes=changes), changes, Ground.GAINS_CHANGED)
 
 
 def setpoint_led(window: Window, response: Response, settings: AdmissionSettings) -> bool:
@@ -371,9 +371,7 @@ def _free_output(seen: _JudgedWindow) -> _Counted:
     """The output is free: not at a limit for longer than the user wants to learn from."""
     own, limit = seen.own, seen.settings.limited_share
     share = sum(sample.limited != 0 for sample in own) / len(own)
-    if share <= limit:
-        return _Counted(AdmissionNumbers(limited_share=share))
-    return _Counted(AdmissionNumbers(limited_share=share, limit=limit), Ground.SATURATED)
+    return _at_most(limit, AdmissionNumbers(limited_share=share), share, Ground.SATURATED)
 
 
 def _excited(seen: _JudgedWindow) -> _Counted:

@@ -170,7 +170,7 @@ def change_request(
         ),
         borders=known.borders(region),
         filter_s=settings.filter_s,
-        urgent=_urgent(damping, settings),
+        urgent=damping is not None and damping >= settings.guard.urgent_damping,
         locks=settings.locks_of(region),
         units=settings.units,
     )
@@ -193,12 +193,7 @@ def unproved_request(
         (),
         settings.sample_time_s,
         evidence,
-        urgent=_urgent(damping, settings),
+        urgent=damping is not None and damping >= settings.guard.urgent_damping,
         locks=settings.locks_of(region),
         units=settings.units,
     )
-
-
-def _urgent(damping: float | None, settings: RetunerSettings) -> bool:
-    """Whether a response swings on as if it would not end."""
-    return damping is not None and damping >= settings.guard.urgent_damping

@@ -129,7 +129,7 @@ class ResponseFinder:
     @property
     def entered_s(self) -> float:
         """Since when the loop is in its region; minus infinity before the first sample."""
-        return _entered(self._region) if self._region else -math.inf
+        return max(self._region.since_s, self._region.since2_s) if self._region else -math.inf
 
     @property
     def scheduled(self) -> tuple[float, float]:
@@ -335,9 +335,4 @@ class ResponseFinder:
         wander = max(wander_before(self._samples, response), self._seen_rounding())
         if wander and not self.settings.band:
             response = replace(response, band=max(response.band, self.settings.band_sigmas * wander))
-        return Completed(region.region, response, _entered(region), wander)
-
-
-def _entered(region: RegionState) -> float:
-    """Since when a loop is in its region."""
-    return max(region.since_s, region.since2_s)
+        return Completed(region.region, response, max(region.since_s, region.since2_s), wander)

@@ -184,7 +184,8 @@ def predict(
     found, n = shapes(loops, UPSETS), len(models)
     now, then = found[:n], found[n:]
     ms = Spread.over([sensitivity_peak(process, new, tau_f_s) for process in sampled])
-    return Prediction(_setpoint(now), _load(now), _setpoint(then), _load(then), n, ms=ms)
+    steps, steps_before = (Expected.over([row[0] for row in rows]) for rows in (now, then))
+    return Prediction(steps, _load(now), steps_before, _load(then), n, ms=ms)
 
 
 def decay_seen(response: Response | None) -> float | None:
@@ -229,10 +230,6 @@ def predict_without_model(seen: Response, old: PidGains, new: PidGains) -> Predi
         0,
         decay_seen(seen),
     )
-
-
-def _setpoint(found: Sequence[Sequence[ResponseNumbers]]) -> Expected:
-    return Expected.over([row[0] for row in found])
 
 
 def _load(shapes: Sequence[Sequence[ResponseNumbers]]) -> Expected:

@@ -83,8 +83,8 @@ class Trial:
         """
         return cls(
             phase=TrialPhase[str(body["phase"]).upper()],
-            old=_gains_in(body["old"]),
-            new=_gains_in(body["new"]),
+            old=body["old"] and PidGains(*body["old"]),
+            new=body["new"] and PidGains(*body["new"]),
             prediction=Prediction.from_dict(body["promise"]) if body["promise"] else None,
             ran=bool(body["ran"]),
             since_s=float(body["since_s"]),
@@ -102,10 +102,6 @@ class Trial:
 
 def _gains_out(gains: PidGains | None) -> list[float] | None:
     return [gains.kp, gains.ki, gains.kd] if gains else None
-
-
-def _gains_in(values: list[float] | None) -> PidGains | None:
-    return PidGains(*values) if values else None
 
 
 def _back_in(body: Mapping[str, Any] | None) -> Rollback | None:
