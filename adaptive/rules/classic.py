@@ -40,28 +40,26 @@ def amigo(model: ProcessModel, kind: ControllerKind = PI, _wishes: Wishes | None
     return tuning("amigo", "ideal", (0.2 + 0.45 * lag / dead) / k, reset, 0.5 * dead * lag / (0.3 * dead + lag), None)
 
 
-AMIGO_RULES = (
-    Rule(
-        name="amigo",
-        form="ideal",
-        formulas={
-            PI: (
-                "K = 0.15/k + (0.35 - L T/(L + T)^2) T/(k L)",
-                "Ti = 0.35 L + 13 L T^2/(T^2 + 12 L T + 7 L^2)",
-                "integrating: K = 0.35/(k' L), Ti = 13.4 L",
-            ),
-            PID: (
-                "K = (0.2 + 0.45 T/L)/k",
-                "Ti = L (0.4 L + 0.8 T)/(L + 0.1 T)",
-                "Td = 0.5 L T/(0.3 L + T)",
-                "integrating: K = 0.45/(k' L), Ti = 8 L, Td = 0.5 L",
-            ),
-        },
-        source="Astrom & Hagglund 2004, J. Process Control 14, 635",
-        valid="any L/T > 0; conservative PID for L/T < 1",
-        types=(ProcessType.FOPDT, ProcessType.INTEGRATING, ProcessType.DELAY),
-        from_model=amigo,
-    ),
+AMIGO = Rule(
+    name="amigo",
+    form="ideal",
+    formulas={
+        PI: (
+            "K = 0.15/k + (0.35 - L T/(L + T)^2) T/(k L)",
+            "Ti = 0.35 L + 13 L T^2/(T^2 + 12 L T + 7 L^2)",
+            "integrating: K = 0.35/(k' L), Ti = 13.4 L",
+        ),
+        PID: (
+            "K = (0.2 + 0.45 T/L)/k",
+            "Ti = L (0.4 L + 0.8 T)/(L + 0.1 T)",
+            "Td = 0.5 L T/(0.3 L + T)",
+            "integrating: K = 0.45/(k' L), Ti = 8 L, Td = 0.5 L",
+        ),
+    },
+    source="Astrom & Hagglund 2004, J. Process Control 14, 635",
+    valid="any L/T > 0; conservative PID for L/T < 1",
+    types=(ProcessType.FOPDT, ProcessType.INTEGRATING, ProcessType.DELAY),
+    from_model=amigo,
 )
 
 
@@ -93,24 +91,22 @@ def cohen_coon(model: ProcessModel, kind: ControllerKind = PI, _wishes: Wishes |
     return tuning("cohen-coon", "ideal", unit * (4 / 3 + r / 4), tau_i, tau_d, None)
 
 
-COHEN_COON_RULES = (
-    Rule(
-        name="cohen-coon",
-        form="ideal",
-        formulas={
-            P: ("Kc = (tau/(K L)) (1 + L/(3 tau))",),
-            PI: ("Kc = (tau/(K L)) (0.9 + L/(12 tau))", "Ti = L (30 + 3 L/tau)/(9 + 20 L/tau)"),
-            PID: (
-                "Kc = (tau/(K L)) (4/3 + L/(4 tau))",
-                "Ti = L (32 + 6 L/tau)/(13 + 8 L/tau)",
-                "Td = 4 L/(11 + 2 L/tau)",
-            ),
-        },
-        source="Cohen & Coon 1953, Trans. ASME 75, 827",
-        valid="0.1 < L/tau < 1 or so; quarter decay, so little robust",
-        types=FIRST_ORDER,
-        from_model=cohen_coon,
-    ),
+COHEN_COON = Rule(
+    name="cohen-coon",
+    form="ideal",
+    formulas={
+        P: ("Kc = (tau/(K L)) (1 + L/(3 tau))",),
+        PI: ("Kc = (tau/(K L)) (0.9 + L/(12 tau))", "Ti = L (30 + 3 L/tau)/(9 + 20 L/tau)"),
+        PID: (
+            "Kc = (tau/(K L)) (4/3 + L/(4 tau))",
+            "Ti = L (32 + 6 L/tau)/(13 + 8 L/tau)",
+            "Td = 4 L/(11 + 2 L/tau)",
+        ),
+    },
+    source="Cohen & Coon 1953, Trans. ASME 75, 827",
+    valid="0.1 < L/tau < 1 or so; quarter decay, so little robust",
+    types=FIRST_ORDER,
+    from_model=cohen_coon,
 )
 
 
@@ -126,8 +122,6 @@ COHEN_COON_RULES = (
 # Ideal form. Correlations over 0.1 <= theta/tau <= 1: load changes by Lopez, Miller, Smith & Murrill 1967 (Instrum.
 # Technol. 14, 57), setpoint changes by Rovira, Murrill & Smith 1969 (Instrum. Control Syst. 42, 67).
 
-
-P, PI, PID = ControllerKind.P, ControllerKind.PI, ControllerKind.PID
 RATIO_RANGE = (0.1, 1.0)
 """theta/tau over which the correlations were fitted; beyond it the settings carry a note."""
 
@@ -205,4 +199,4 @@ ITAE_RULES = (
 )
 
 
-RULES = (*AMIGO_RULES, *COHEN_COON_RULES, *ITAE_RULES)
+RULES = (AMIGO, COHEN_COON, *ITAE_RULES)

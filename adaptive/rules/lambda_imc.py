@@ -52,24 +52,22 @@ def _positive(lam: float) -> float:
     return lam
 
 
-LAMBDA_RULES = (
-    Rule(
-        name="lambda",
-        form="ideal",
-        formulas={
-            PI: (
-                "Kc = tau/(K (lambda + L))",
-                "Ti = tau",
-                "integrating: Kc = (2 lambda + L)/(k' (lambda + L)^2), Ti = 2 lambda + L",
-            ),
-            PID: ("Kc = (2 tau + L)/(2 K (lambda + L))", "Ti = tau + L/2", "Td = tau L/(2 tau + L)"),
-        },
-        source="Putra, Tuning methods of PID controller (lecture slides) for PID; the usual PI forms",
-        valid="lambda 2 to 3 tau (default 3 tau); integrating: default 3 L",
-        types=FIRST_ORDER_OR_INTEGRATING,
-        wishes=("tau_c_s",),
-        from_model=lambda_tuning,
-    ),
+LAMBDA = Rule(
+    name="lambda",
+    form="ideal",
+    formulas={
+        PI: (
+            "Kc = tau/(K (lambda + L))",
+            "Ti = tau",
+            "integrating: Kc = (2 lambda + L)/(k' (lambda + L)^2), Ti = 2 lambda + L",
+        ),
+        PID: ("Kc = (2 tau + L)/(2 K (lambda + L))", "Ti = tau + L/2", "Td = tau L/(2 tau + L)"),
+    },
+    source="Putra, Tuning methods of PID controller (lecture slides) for PID; the usual PI forms",
+    valid="lambda 2 to 3 tau (default 3 tau); integrating: default 3 L",
+    types=FIRST_ORDER_OR_INTEGRATING,
+    wishes=("tau_c_s",),
+    from_model=lambda_tuning,
 )
 
 
@@ -84,8 +82,6 @@ LAMBDA_RULES = (
 # on a pure delay Kc = 0.29, Ti = theta/2 at lambda = 1.7 theta. There the dead time is inside lambda: SIMC's tau_c +
 # theta.
 
-
-PI, PID = ControllerKind.PI, ControllerKind.PID
 LAMBDA_PER_THETA = {PI: 1.7, PID: 0.8}
 """Smallest lambda over theta that the source recommends; the default."""
 IMC_LAMBDA_PER_TAU = 0.2  # smallest lambda over tau that the source recommends
@@ -147,4 +143,4 @@ IMC_RULES = (
 )
 
 
-RULES = (*LAMBDA_RULES, *IMC_RULES)
+RULES = (LAMBDA, *IMC_RULES)

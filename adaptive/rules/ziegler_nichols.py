@@ -110,9 +110,6 @@ ULTIMATE_RULES = (
 # the same rounded); a set of lecture slides prints 0.33 L, which is a slip and would be unstable.
 
 
-P, PI, PID = ControllerKind.P, ControllerKind.PI, ControllerKind.PID
-
-
 def zn_reaction(model: ProcessModel, kind: ControllerKind = PI, _wishes: Wishes | None = None) -> Tuning:
     """Reaction-curve settings (ideal form) for a first order or integrating model with dead time.
 
@@ -127,20 +124,18 @@ def zn_reaction(model: ProcessModel, kind: ControllerKind = PI, _wishes: Wishes 
     return tuning("zn-reaction", "ideal", 1.2 * unit, 2 * dead, 0.5 * dead, None)
 
 
-REACTION_RULES = (
-    Rule(
-        name="zn-reaction",
-        form="ideal",
-        formulas={
-            P: ("Kc = tau/(K L) = 1/(M L)", "integrating: Kc = 1/(k' L)"),
-            PI: ("Kc = 0.9 tau/(K L)", "Ti = L/0.3", "integrating: Kc = 0.9/(k' L), Ti = L/0.3"),
-            PID: ("Kc = 1.2 tau/(K L)", "Ti = 2 L", "Td = 0.5 L", "integrating: Kc = 1.2/(k' L), Ti = 2 L, Td = 0.5 L"),
-        },
-        source="Ziegler & Nichols 1942, Trans. ASME 64, 759",
-        valid="0.1 < L/tau < 1 or so; quarter decay, so little robust",
-        types=FIRST_ORDER_OR_INTEGRATING,
-        from_model=zn_reaction,
-    ),
+REACTION = Rule(
+    name="zn-reaction",
+    form="ideal",
+    formulas={
+        P: ("Kc = tau/(K L) = 1/(M L)", "integrating: Kc = 1/(k' L)"),
+        PI: ("Kc = 0.9 tau/(K L)", "Ti = L/0.3", "integrating: Kc = 0.9/(k' L), Ti = L/0.3"),
+        PID: ("Kc = 1.2 tau/(K L)", "Ti = 2 L", "Td = 0.5 L", "integrating: Kc = 1.2/(k' L), Ti = 2 L, Td = 0.5 L"),
+    },
+    source="Ziegler & Nichols 1942, Trans. ASME 64, 759",
+    valid="0.1 < L/tau < 1 or so; quarter decay, so little robust",
+    types=FIRST_ORDER_OR_INTEGRATING,
+    from_model=zn_reaction,
 )
 
 
@@ -160,17 +155,15 @@ def quarter_decay(swing: Oscillation, _kind: ControllerKind = PID) -> Tuning:
     return tuning("quarter-decay", "ideal", swing.gain, swing.period_s / 1.5, swing.period_s / 6, None)
 
 
-QUARTER_DECAY_RULES = (
-    Rule(
-        name="quarter-decay",
-        form="ideal",
-        formulas={PID: ("Kc = Kq", "Ti = Pq/1.5", "Td = Pq/6")},
-        source="Ziegler & Nichols' modified method, as table 1 of the appendix 'PID controller, its tuning and design'",
-        valid="loops that can be made to swing with quarter decay",
-        takes=Takes.QUARTER_DECAY,
-        from_oscillation=quarter_decay,
-    ),
+QUARTER_DECAY = Rule(
+    name="quarter-decay",
+    form="ideal",
+    formulas={PID: ("Kc = Kq", "Ti = Pq/1.5", "Td = Pq/6")},
+    source="Ziegler & Nichols' modified method, as table 1 of the appendix 'PID controller, its tuning and design'",
+    valid="loops that can be made to swing with quarter decay",
+    takes=Takes.QUARTER_DECAY,
+    from_oscillation=quarter_decay,
 )
 
 
-RULES = (*REACTION_RULES, *ULTIMATE_RULES, *QUARTER_DECAY_RULES)
+RULES = (REACTION, *ULTIMATE_RULES, QUARTER_DECAY)
