@@ -263,7 +263,12 @@ def settings_in_force(
     settings : see LawSettings.
     """
     settings = settings or LawSettings()
-    window = _busiest(window, settings.most_samples)
+    n, most = len(window.t_s), settings.most_samples
+    if n > most:  # the stretch in which the control error varies most
+        e = window.sp - window.pv
+        begins = [*range(0, n - most, most // 4), n - most]
+        begin = max(begins, key=lambda i: float(np.std(e[i : i + most])))
+        window = window.part(slice(begin, begin + most))
     limits = at_limits(window.co, co_min, co_max)
     state = record_condition(window, limits.low + limits.high)
     if state.condition in {Condition.DEAD_PV, Condition.DEAD_CO, Condition.MANUAL}:
@@ -308,17 +313,6 @@ def _compressed(window: Window, usable: BoolArray, settings: LawSettings) -> str
         if quality is not None and quality.compression > settings.compression_limit:
             return f"{name} was compressed {quality.compression:.0f} times by its recorder: its movements are lost"
     return ""
-
-
-def _busiest(window: Window, most: int) -> Window:
-    """The stretch of `most` samples in which the control error varies most; the window itself when it is no longer."""
-    n = len(window.t_s)
-    if n <= most:
-        return window
-    e = window.sp - window.pv
-    starts = [*range(0, n - most, most // 4), n - most]
-    start = max(starts, key=lambda i: float(np.std(e[i : i + most])))
-    return window.part(slice(start, start + most))
 
 
 def _refused(reason: str, found: Regression | None = None) -> SettingsInForce:

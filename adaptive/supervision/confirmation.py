@@ -16,7 +16,7 @@ from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.oscillation_online import stretch
 from retuner.adaptive.diagnosis.second_opinion import SWINGING, TOWARDS_SAFETY, Excitation, runs_away, unconfirmed
 from retuner.adaptive.diagnosis.swing_checks import at_own_crossover, foretold, not_seen
-from retuner.adaptive.diagnosis.unstable_process import UnstableProcess, unstable_process, worse_on
+from retuner.adaptive.diagnosis.unstable_process import unstable_process, worse_on
 from retuner.adaptive.explanations.book import Book
 from retuner.adaptive.explanations.valve_odds import WEIGHT, log_odds_of_valve
 from retuner.adaptive.explanations.wandering_load import Prepared
@@ -85,10 +85,9 @@ def confirmation(found: Findings, change: Outcome, proof: Proof, why: str, lost:
         doubt = doubt_of(found, cause)
         if doubt is not None and not in_danger(found, doubt, lost):
             # A record of something else is not kept, and counts as one of that
-            assert found.learned is not None
             if doubt.cause in NOT_THE_LOOP:
                 change = replace(change, region_model=None, foreign=counted_cause(found, doubt))
-                if found.learned.agreement in ANEW:  # what was known before stays, and what that rested on
+                if learned.agreement in ANEW:  # what was known before stays, and what that rested on
                     before = found.record.excitation.with_response(found.record.response)
                     change = replace(change, excitation=replace(before, lost=lost))
             reason = f"by what is known of the region, {cause.reason}; {doubt.reason}"
@@ -228,8 +227,6 @@ def counted_cause(found: Findings, cause: Diagnosis) -> int:
 
 
 SAMPLES_BEFORE_STEP = 5  # samples before a setpoint step that are looked at with it
-
-
 FEWEST_OF_STEP = 3  # samples of such a window
 
 
@@ -258,16 +255,13 @@ def runaway(found: Findings, proof: Proof) -> Diagnosis | None:
         return None
     after = record.table.with_gains(record.region, proof.gains).at(record.region, *record.at)
     worse = worse_on(shown, law, after, len(window.pv), settings.cause.ms_high)
-    return None if worse is None else _runaway_words(shown, *worse)
-
-
-def _runaway_words(shown: UnstableProcess, before: float, after: float) -> Diagnosis:
-    """Why nothing changes. before, after : Ms on it."""
-    then = f"Ms {before:.2f} -> {after:.2f}" if math.isfinite(after) else f"Ms {before:.2f} now"
-    what = "make it less robust" if math.isfinite(after) else "not hold it"
+    if worse is None:
+        return None
+    before, later = worse  # Ms on it
+    then = f"Ms {before:.2f} -> {later:.2f}" if math.isfinite(later) else f"Ms {before:.2f} now"
+    what = "make it less robust" if math.isfinite(later) else "not hold it"
     reason = (
         f"the process runs away by itself, by a factor of 2.7 in {shown.grows_s:.3g} s; the gains hold it. "
         f"What the rule gives would {what} ({then}); there is no rule for such a process"
     )
-    evidence = {"runs_away_s": shown.grows_s, "ms": before}
-    return Diagnosis(Cause.UNKNOWN, 0.5, evidence, reason)
+    return Diagnosis(Cause.UNKNOWN, 0.5, {"runs_away_s": shown.grows_s, "ms": before}, reason)

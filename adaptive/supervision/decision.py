@@ -254,11 +254,8 @@ def restoring(decision: Decision, region: str, trial: Trial, also: Sequence[str]
     assert cause is not None  # of a trial that is being restored
     assert back is not None
     judged = decision.judgement.reason if decision.judgement else ""
-    done = (
-        "no earlier gains are expected to be better, so the trial gains are kept"
-        if back.stays
-        else _WORDS[back.gains == trial.old]
-    )
+    done = f"rolled back to the {'verified' if back.gains == trial.old else 'most robust earlier'} gains"
+    done = "no earlier gains are expected to be better, so the trial gains are kept" if back.stays else done
     reason = "; ".join(filter(None, (f"{done}: {judged or cause}", back.reason)))
     reason += f"; also in {', '.join(also)}" if also else ""
     if predicted_wrongly(trial, decision):
@@ -276,10 +273,6 @@ def restoring(decision: Decision, region: str, trial: Trial, also: Sequence[str]
         prediction=trial.prediction,
         trial=str(trial.phase),
     )
-
-
-_WORDS = {True: "rolled back to the verified gains", False: "rolled back to the most robust earlier gains"}
-"""What is done, by whether it is the set before the trial."""
 
 
 def staying(decision: Decision, region: str, trial: Trial, also: Sequence[str]) -> Decision:

@@ -36,40 +36,22 @@ def learned_by_itself(
     first. Where that does not agree with what is known, or does not settle it, it is judged as any other: the process
     may have changed in time.
     """
-    known = record.region_models.get(record.region) or _from_neighbours(record, settings)
+    regions, sign, tracker = record.table.regions, record.in_force.direction, settings.tracker
+    lent = regions, float(record.window.t_s[-1]), sign, settings.borrowing, tracker
+    known = record.region_models.get(record.region) or borrowed(record.region_models, record.region, *lent)
     if record.crossed or record.moved:
-        learned, beside = _across(record, settings, known)
+        ways = ways_of(regions, list(record.samples)[-len(record.window.t_s) :])
+        ran = record.response.t_start_s, record.in_force, regions, record.region_models
+        crossing = Crossing(record.window, ways, *ran, tracker, settings.fit)
+        shown = fitted_crossing(crossing)
+        beside = taught_beside(crossing, shown, record.region)
+        learned = update_across(crossing, shown, record.region, known)
         settled = learned.region_model is not None and learned.region_model.identifiable
         if record.crossed or (settled and learned.agreement in {Agreement.FIRST, Agreement.AGREES}):
             return learned, beside
-    tracker = on_the_way(settings.tracker, record.share)
+    tracker = on_the_way(tracker, record.share)
     learned = update_region_model(known, record.window, record.in_force, tracker, settings.fit, record.at)
     return as_wide_as_known(learned) if record.share else learned, beside
-
-
-def _across(
-    record: ResponseRecord, settings: RetunerSettings, known: RegionModel | None
-) -> tuple[Learned, Mapping[int, RegionModel]]:
-    """What a response teaches the region in which it ended, and those that it came through."""
-    crossing = Crossing(
-        record.window,
-        ways_of(record.table.regions, list(record.samples)[-len(record.window.t_s) :]),
-        record.response.t_start_s,
-        record.in_force,
-        record.table.regions,
-        record.region_models,
-        settings.tracker,
-        settings.fit,
-    )
-    shown = fitted_crossing(crossing)
-    beside = taught_beside(crossing, shown, record.region)
-    return update_across(crossing, shown, record.region, known), beside
-
-
-def _from_neighbours(record: ResponseRecord, settings: RetunerSettings) -> RegionModel | None:
-    now, sign = float(record.window.t_s[-1]), record.in_force.direction
-    regions = record.table.regions
-    return borrowed(record.region_models, record.region, regions, now, sign, settings.borrowing, settings.tracker)
 
 
 def learned_by_sequences(record: ResponseRecord, settings: RetunerSettings, steps: SetpointSteps) -> Learned | None:

@@ -35,6 +35,7 @@ from retuner.schedule.regions import RegionState
 
 State = TypeVar("State")  # A named tuple of numbers
 SERIES = ("t_s", "sp", "pv", "co")  # what a record is made of
+DRIFT = ("v", "p", "along")  # and a drift
 
 # What is known of a region as plain JSON values, and back, checked on the way in.
 
@@ -106,22 +107,17 @@ def _steps_in(body: Mapping[str, Any]) -> SetpointSteps:
 
 def _known_out(known: Sequence[StructureModel]) -> list[dict[str, object]]:
     """The structures: parameters with their covariance, and the evidence."""
-    return [_log_out(k.log) | {"evidence": k.evidence, "drift": _drift_out(k.drift)} for k in known]
+    drifts = (k.drift and {name: getattr(k.drift, name).tolist() for name in DRIFT} for k in known)
+    return [_log_out(k.log) | {"evidence": k.evidence, "drift": drift} for k, drift in zip(known, drifts, strict=True)]
 
 
 def _known_in(bodies: Sequence[Mapping[str, Any]]) -> tuple[StructureModel, ...]:
-    return tuple(
-        StructureModel(_log_in(body), float(body["evidence"]), _drift_in(body.get("drift"))) for body in bodies
-    )
-
-
-def _drift_out(drift: Drift | None) -> dict[str, object] | None:
-    return None if drift is None else {name: getattr(drift, name).tolist() for name in ("v", "p", "along")}
-
-
-def _drift_in(body: Mapping[str, Any] | None) -> Drift | None:
-    """A drift from its plain form; memories of before have none."""
-    return None if body is None else Drift(*(np.array(body[name], dtype=np.float64) for name in ("v", "p", "along")))
+    known = []
+    for body in bodies:
+        drift = body.get("drift")  # memories of before have none
+        drift = drift and Drift(*(np.array(drift[name], dtype=np.float64) for name in DRIFT))
+        known.append(StructureModel(_log_in(body), float(body["evidence"]), drift))
+    return tuple(known)
 
 
 def _log_out(log: LogModel) -> dict[str, object]:

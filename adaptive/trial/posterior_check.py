@@ -14,12 +14,10 @@ may still take up a load with hardly a swing. What was seen of the old set count
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 from retuner.adaptive.decision_numbers import Numbers
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
-from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.trial.batch_responses import ClosedLoop, Upset
 from retuner.adaptive.trial.prediction import Prediction
 from retuner.adaptive.trial.response_numbers import shapes, storable
@@ -63,7 +61,7 @@ def check_posterior(
     """
     sampled = [found.model.seen_by_controller(sample_time_s).linear() for found in allowed]
     ms_tried, ms_old = ([sensitivity_peak(process, gains, tau_f_s) for process in sampled] for gains in (tried, old))
-    slower = min(_costs(sampled, old, tried, b, tau_f_s))
+    slower = min(costs(allowed, old, tried, sample_time_s, b, tau_f_s))
     robuster = all(then < now for then, now in zip(ms_old, ms_tried, strict=True))
     return PosteriorCheck(min(ms_tried), max(ms_tried), max(ms_old), robuster, slower)
 
@@ -72,11 +70,7 @@ def costs(
     allowed: Sequence[Plausible], old: PidGains, new: PidGains, sample_time_s: float, b: float, tau_f_s: float
 ) -> list[float]:
     """J of the new set over the old one on each model, see the head of this file; 0 where it is not known."""
-    return _costs([found.model.seen_by_controller(sample_time_s).linear() for found in allowed], old, new, b, tau_f_s)
-
-
-def _costs(processes: Sequence[LinearProcess], old: PidGains, new: PidGains, b: float, tau_f_s: float) -> list[float]:
-    """J on processes as the controller sees them."""
+    processes = [found.model.seen_by_controller(sample_time_s).linear() for found in allowed]
     loops = [ClosedLoop(process, gains, b, tau_f_s) for gains in (new, old) for process in processes]
     iae, n = [[shape.iae for shape in row] for row in shapes(loops, UPSETS)], len(processes)
     return [_mean_ratio(now, then) for now, then in zip(iae[:n], iae[n:], strict=True)]
@@ -112,22 +106,23 @@ class PosteriorNumbers(Numbers):
     cost: CostNumbers | None = None
 
 
-class Objection(NamedTuple):
-    """What speaks against the tried set in words, empty for nothing, and what was weighed."""
-
-    words: str
-    numbers: PosteriorNumbers
-
-
-def against(found: PosteriorCheck, prediction: Prediction, settings: TrialSettings, robust: bool = False) -> Objection:
-    """What it says against the tried set, if anything.
+def against(
+    found: PosteriorCheck, prediction: Prediction, settings: TrialSettings, robust: bool = False
+) -> tuple[str, PosteriorNumbers]:
+    """What it says against the tried set in words, empty for nothing, by the two tests at the head of this file; and
+    what was weighed.
 
     robust : the tried set is, by all samples: then the models, which know no load that wanders, say nothing of that.
     """
-    robustness = _robustness(found, prediction, settings)
-    words = "" if robust else _less_robust(found, robustness.ms_limit)
-    if words:
-        return Objection(words, PosteriorNumbers(robustness))
+    ms = prediction.ms
+    promised = [one for one in (ms.best, ms.high) if math.isfinite(one)] if ms else []
+    most = max([settings.harmless_ms, *promised])
+    best = storable(ms.best) if ms else None
+    robustness = RobustnessNumbers(storable(found.ms_tried), most, storable(found.ms_old), best)
+    if not robust and found.robuster and found.ms_tried > most:
+        words = "the loop is unstable" if math.isinf(found.ms_tried) else f"Ms is at least {found.ms_tried:.2f}"
+        told = f"worse than predicted: on every plausible model {words}, limit {most:.2f}"
+        return told, PosteriorNumbers(robustness)
     # J of the new set over the old one as promised, on the best model; 0 where it is not known
     said = _mean_ratio(
         (prediction.setpoint.iae.best, prediction.load_step.iae.best),
@@ -135,35 +130,14 @@ def against(found: PosteriorCheck, prediction: Prediction, settings: TrialSettin
     )
     limit = settings.iae_slack * max(said, 1.0)
     cost = CostNumbers(found.slower, limit, said or None) if found.slower else None
-    return Objection(_slower(found, prediction, limit, settings), PosteriorNumbers(robustness, cost))
-
-
-def _robustness(found: PosteriorCheck, prediction: Prediction, settings: TrialSettings) -> RobustnessNumbers:
-    """What the first test at the head of this file weighs."""
-    said = prediction.ms
-    allowed = [ms for ms in (said.best, said.high) if math.isfinite(ms)] if said else []
-    limit = max([settings.harmless_ms, *allowed])
-    best = storable(said.best) if said else None
-    return RobustnessNumbers(storable(found.ms_tried), limit, storable(found.ms_old), best)
-
-
-def _less_robust(found: PosteriorCheck, limit: float) -> str:
-    """The first test at the head of this file."""
-    if not found.robuster or found.ms_tried <= limit:
-        return ""
-    words = "the loop is unstable" if math.isinf(found.ms_tried) else f"Ms is at least {found.ms_tried:.2f}"
-    return f"worse than predicted: on every plausible model {words}, limit {limit:.2f}"
-
-
-def _slower(found: PosteriorCheck, prediction: Prediction, limit: float, settings: TrialSettings) -> str:
-    """The second test at the head of this file."""
     swung = prediction.decay_seen is not None and prediction.decay_seen > settings.harmless_decay
-    if swung or found.ms_old > settings.harmless_ms or found.slower <= limit:
-        return ""
-    return (
-        f"worse than predicted: IAE at least {found.slower:.2f} times that with the previous gains on every plausible "
-        f"model (limit {limit:.2f}); the previous gains have Ms at most {found.ms_old:.2f}"
-    )
+    told = ""
+    if not (swung or found.ms_old > settings.harmless_ms or found.slower <= limit):
+        told = (
+            f"worse than predicted: IAE at least {found.slower:.2f} times that with the previous gains on every "
+            f"plausible model (limit {limit:.2f}); the previous gains have Ms at most {found.ms_old:.2f}"
+        )
+    return told, PosteriorNumbers(robustness, cost)
 
 
 def in_favour(found: PosteriorCheck, settings: TrialSettings) -> str:

@@ -159,7 +159,11 @@ def rollback(cause: TrialEvent, ran: SetsThatRan, known: StillAllowed, settings:
     stays = cause not in ROLLBACK_CAUSES and (known.processes or cause is TrialEvent.TIMED_OUT)
     sets = [ran.tried, ran.before] if stays else [ran.before, ran.tried]
     ms = {gains: known.ms(gains) for gains in (*sets, *ran.earlier)}
-    expected, else_ = expected_losses(ms, known.likely(), _seen(cause, ran, settings), settings.harmless_ms)
+    swung = ran.swung is not None and ran.swung >= SWINGS_ON
+    worked = SetRecord(0, ran.swings <= settings.harmless_decay, CHANGED)
+    now = SetRecord(cause in ROLLBACK_CAUSES, cause is TrialEvent.TIMED_OUT, BY_LOADS_AFTER.get(cause, BY_LOADS))
+    seen = {ran.before: SetRecord(1) if swung else worked, ran.tried: now}
+    expected, else_ = expected_losses(ms, known.likely(), seen, settings.harmless_ms)
     shut = {one for one in ms if less_stable(one, ran.tried, known, settings.harmless_ms)}
     shut |= {ran.before} if ran.lost and not known.processes else set()
     open_to = [gains for gains in ms if gains not in shut]
@@ -216,14 +220,6 @@ LOST_WORDS = "the previous gains were unstable on the model on which the trial g
 def loss_of(ms: float, harmless_ms: float) -> float:
     """Share of the distance to instability that is lost."""
     return 1.0 - harmless_ms / max(ms, harmless_ms)
-
-
-def _seen(cause: TrialEvent, ran: SetsThatRan, settings: TrialSettings) -> dict[PidGains, SetRecord]:
-    """What was seen of the set before and of the tried one."""
-    swung = ran.swung is not None and ran.swung >= SWINGS_ON
-    worked = SetRecord(0, ran.swings <= settings.harmless_decay, CHANGED)
-    now = SetRecord(cause in ROLLBACK_CAUSES, cause is TrialEvent.TIMED_OUT, BY_LOADS_AFTER.get(cause, BY_LOADS))
-    return {ran.before: SetRecord(1) if swung else worked} | ({} if ran.tried is None else {ran.tried: now})
 
 
 def expected_losses(
