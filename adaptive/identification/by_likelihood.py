@@ -163,17 +163,7 @@ class Likelihood:
         since = np.arange(n, dtype=np.float64) * law.dt_s - math.exp(p[THETA])
         held = self.sign * math.exp(p[SLOPE]) * dynamics_at(TYPE, p).step(since)
         response = setpoint_response(np.asarray(held, dtype=np.float64), law)
-        dt_s = law.dt_s
-        # G with its input held from sample to sample, exactly (dynamics.py), without its sign
-        z1, theta_s = _z1(), math.exp(p[THETA])
-        whole = math.floor(theta_s / dt_s)
-        part = theta_s - whole * dt_s
-        found = np.zeros(POINTS, dtype=np.complex128)
-        for rate, weight in dynamics_at(TYPE, p).modes():
-            first = -np.expm1(-rate * (dt_s - part)) / rate
-            second = np.exp(-rate * (dt_s - part)) * -np.expm1(-rate * part) / rate
-            found += weight * (first + second * z1) / (1 - np.exp(-rate * dt_s) * z1)
-        process = self.sign * np.asarray(math.exp(p[SLOPE]) * z1 ** (whole + 1) * found, dtype=np.complex128)
+        process = self.sign * _process(p, law.dt_s)
         back = 1 - math.exp(-law.dt_s / math.exp(p[CORNER])) * _z1()
         load = math.exp(2 * p[LOAD]) * law.dt_s / np.abs(back) ** 2
         loop = np.abs(1 + process * _controller(law)) ** 2
@@ -311,6 +301,19 @@ def _cosines(order: int) -> FloatArray:
     """The cosines that make autocovariances of a spectrum, shape (points, order + 1)."""
     w = np.pi * (np.arange(POINTS) + 0.5) / POINTS
     return np.asarray(np.cos(w[:, None] * np.arange(order + 1)), dtype=np.float64)
+
+
+def _process(p: FloatArray, dt_s: float) -> Spectrum:
+    """G with its input held from sample to sample, exactly (dynamics.py), without its sign."""
+    z1, theta_s = _z1(), math.exp(p[THETA])
+    whole = math.floor(theta_s / dt_s)
+    part = theta_s - whole * dt_s
+    found = np.zeros(POINTS, dtype=np.complex128)
+    for rate, weight in dynamics_at(TYPE, p).modes():
+        first = -np.expm1(-rate * (dt_s - part)) / rate
+        second = np.exp(-rate * (dt_s - part)) * -np.expm1(-rate * part) / rate
+        found += weight * (first + second * z1) / (1 - np.exp(-rate * dt_s) * z1)
+    return np.asarray(math.exp(p[SLOPE]) * z1 ** (whole + 1) * found, dtype=np.complex128)
 
 
 @lru_cache(maxsize=64)

@@ -425,10 +425,7 @@ def _posterior_of(known: tuple[StructureModel, ...], elapsed_s: float, record: N
     priors = {t: scattered(mean.log, settings) for t, mean in means.items()}
     roots = {t: Prior.of(log.x, log.p) for t, log in priors.items()}
     before = {k.log.type: k.evidence for k in known}
-    # Loads that a record needs: one where the setpoint stood and pv begins within its noise, else none
-    window, noise = record.window, record.found[0].fit.misfit.record.noise_std
-    begins = np.abs(window.sp[:BEGINS] - window.pv[:BEGINS])
-    least = int(np.ptp(window.sp) == 0.0 and bool(np.all(begins <= RESTS_WITHIN * noise)))
+    least = _loads_at_least(record)
     again = with_priors(record.found, roots, inflation_of, least)
     summed = [replace(c, criterion=c.criterion + before[c.fit.misfit.type]) for c in again]
     fitted = estimate_of(sorted(summed, key=lambda c: c.criterion), float(record.window.t_s[0]), roots, fit)
@@ -446,6 +443,13 @@ def _posterior_of(known: tuple[StructureModel, ...], elapsed_s: float, record: N
     missing = max(least - by_itself.loads, 0) if best.loads >= least else 0
     rise = together - apart - load_price(by_itself) * missing
     return Posterior(_led(after, record), estimate, min(linear, max(rise, 0.0)), rise)
+
+
+def _loads_at_least(record: NewRecord) -> int:
+    """Loads that a record needs: one where the setpoint stood and pv begins within its noise, else none."""
+    window, noise = record.window, record.found[0].fit.misfit.record.noise_std
+    begins = np.abs(window.sp[:BEGINS] - window.pv[:BEGINS])
+    return int(np.ptp(window.sp) == 0.0 and bool(np.all(begins <= RESTS_WITHIN * noise)))
 
 
 BEGINS, RESTS_WITHIN = 3, 4.0

@@ -488,12 +488,15 @@ def next_experiment(curves: Curves, places: Sequence[Place], co: Range = (None, 
     wanted = answer / abs(reached)
     # the sign of a step of co that moves pv away from the nearer end of the range
     inwards = math.copysign(1.0, reached) * (1.0 if least.x <= (places[0].x + places[-1].x) / 2 else -1.0)
-    rest = float(curves.rest.co(np.array([least.x]))[0])
-    # A step of this size away from rest, inwards where there is room; else the other way, or as far as it goes
+    step = _within(wanted, float(curves.rest.co(np.array([least.x]))[0]), co, inwards)
+    return NextExperiment(least.x, step, step * reached, hold, least.gain_std, abs(step) < 0.999 * wanted, least.x2)
+
+
+def _within(wanted: float, rest: float, co: Range, inwards: float) -> float:
+    """A step of this size away from rest, inwards where there is room; else the other way, or as far as it goes."""
     low, high = co
     up = math.inf if high is None else CO_SHARE * max(high - rest, 0.0)
     down = math.inf if low is None else CO_SHARE * max(rest - low, 0.0)
     room = {1.0: up, -1.0: down}
     way = inwards if room[inwards] >= min(wanted, room[-inwards]) else -inwards
-    step = way * min(wanted, room[way])
-    return NextExperiment(least.x, step, step * reached, hold, least.gain_std, abs(step) < 0.999 * wanted, least.x2)
+    return way * min(wanted, room[way])

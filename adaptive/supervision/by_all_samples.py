@@ -373,7 +373,11 @@ def proposal_by_all_samples(found: Findings, own: Outcome, seen: AllSamples) -> 
     look = seen.look
     if look is None or not _may_speak(found, own, look, seen) or (seen.shown and _rests(found, look)):
         return None
-    # The change, where there is one and it is proved
+    return _proved_by_all_samples(found, own, seen)
+
+
+def _proved_by_all_samples(found: Findings, own: Outcome, seen: AllSamples) -> Outcome | None:
+    """The change, where there is one and it is proved."""
     look, book, told = seen.look, seen.book, seen.told
     if look is None or book is None or told is None or told.tuning is None or not told.models:
         return None

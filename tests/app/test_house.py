@@ -75,7 +75,7 @@ LONGEST_FILE = 600  # lines: one whole story
 LONGEST_FUNCTION = 60  # lines of code without docstring, comments and blank lines
 # what these weigh are typed values (adaptive/decision_numbers.py)
 DECIDING = ("guard", "trial", "choice", "without_model", "supervision", "orders")
-EDGE = {"to_dict", "gains_dict", "_seen_out"}  # functions that write the plain form
+EDGE = {"to_dict", "gains_dict"}  # functions that write the plain form
 
 
 def files(*tops: str) -> list[Path]:
