@@ -120,15 +120,15 @@ def bounds(misfit: Misfit) -> tuple[FloatArray, FloatArray]:
     low, high = np.full(misfit.size, -np.inf), np.full(misfit.size, np.inf)
     low[SLOPE], high[SLOPE] = usual - GAIN_REACH, usual + GAIN_REACH
     low[THETA], high[THETA] = math.log(LEAST_TIME * dt), math.log(MOST_THETA * span)
-    if type_ in LAG:
-        low[LAG[type_]], high[LAG[type_]] = math.log(LEAST_LAG * dt), math.log(MOST_LAG * span)
-    if type_ in SECOND:
-        low[SECOND[type_]], high[SECOND[type_]] = math.log(LEAST_TIME * dt), math.log(span)
-    if type_ in INVERSE:
-        low[INVERSE[type_]], high[INVERSE[type_]] = math.log(LEAST_TIME * dt), math.log(MOST_INVERSE * span)
-        low[SECOND[type_]] = math.log(LEAST_SECOND * dt)
-    if type_ in THIRD:
-        low[THIRD[type_]], high[THIRD[type_]] = math.log(LEAST_TIME * dt), math.log(span)
+    least_second = (LEAST_SECOND if type_ in INVERSE else LEAST_TIME) * dt
+    for places, least, most in (
+        (LAG, LEAST_LAG * dt, MOST_LAG * span),
+        (SECOND, least_second, span),
+        (INVERSE, LEAST_TIME * dt, MOST_INVERSE * span),
+        (THIRD, LEAST_TIME * dt, span),
+    ):
+        if type_ in places:
+            low[places[type_]], high[places[type_]] = math.log(least), math.log(most)
     d = SIZE[type_]
     low[d : d + misfit.loads], high[d : d + misfit.loads] = 0.0, span - dt
     if misfit.rounded:

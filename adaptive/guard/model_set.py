@@ -15,12 +15,9 @@ import numpy as np
 
 from retuner.adaptive.fit.structure import model_at, parameters_of
 from retuner.adaptive.guard.guard_settings import GuardSettings
-from retuner.adaptive.identification.estimate import LogModel
+from retuner.adaptive.identification.estimate import MOST_LOG_STEP, LogModel, spread
 from retuner.adaptive.identification.plausible import OUT, Plausible
-from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.signals.sample import FloatArray
-
-MOST_LOG_STEP = math.log(2.0)  # farthest that age or a covariance moves a model in any log-parameter
 
 
 def allowed(
@@ -41,7 +38,7 @@ def allowed(
     same = [p for p in believed if p.model.type == log.type] if around and around[0].model.type == log.type else []
     others = [p for p in believed if p not in same]
     if not same:
-        return (best, *(Plausible(m, settings.corner_std**2) for m in _corners(log, settings.corner_std)), *others)
+        return (*spread(log, settings.corner_std), *others)
     start = parameters_of(around[0].model)
     moved = [(_apart(parameters_of(p.model) - start, extra_variance), p.excess) for p in same]
     own = [Plausible(model_at(log.type, log.x + step, log.sign), excess) for step, excess in moved]
@@ -55,11 +52,3 @@ def _apart(step: FloatArray, extra_variance: float) -> FloatArray:
         return step
     grown = math.sqrt(1.0 + OUT**2 * extra_variance / float(step @ step))
     return step * max(1.0, min(grown, MOST_LOG_STEP / size))
-
-
-def _corners(log: LogModel, out: float) -> list[ProcessModel]:
-    """Models at both ends of every principal axis of the covariance, `out` standard deviations out."""
-    values, vectors = np.linalg.eigh(log.p)
-    axes = out * vectors * np.sqrt(np.maximum(values, 0.0))
-    axes = axes * np.minimum(1.0, MOST_LOG_STEP / np.maximum(np.max(np.abs(axes), axis=0), MOST_LOG_STEP))
-    return [model_at(log.type, log.x + s * axes[:, j], log.sign) for j in range(len(log.x)) for s in (1.0, -1.0)]

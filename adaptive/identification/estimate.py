@@ -7,7 +7,7 @@ import numpy as np
 
 from retuner.adaptive.fit.structure import LAG, SIZE, THETA, model_at
 from retuner.adaptive.identification.candidate import MODEL_ERROR
-from retuner.adaptive.identification.plausible import Plausible
+from retuner.adaptive.identification.plausible import OUT, Plausible
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.simc import simc, without_second_lag
 from retuner.adaptive.signals.sample import FloatArray
@@ -276,3 +276,20 @@ class ModelEstimate:
         names = "reason loads=load_times_s residual=residual_std noise=noise_std coloured rival"
         known = {"identifiable": self.identifiable, "model": self.log.model().to_dict(), "std": self.log.std()}
         return known | plain_values(self, names)
+
+
+MOST_LOG_STEP = math.log(2.0)
+"""Farthest that age or a covariance moves a model in any log-parameter: beyond, a Gaussian says nothing."""
+
+
+def spread(log: LogModel, out: float = OUT) -> tuple[Plausible, ...]:
+    """The mean and both ends of every principal axis of the covariance, for the proof of what rests on nothing else.
+
+    out : how far the ends are, standard deviations.
+    """
+    values, vectors = np.linalg.eigh(log.p)
+    axes = out * vectors * np.sqrt(np.maximum(values, 0.0))
+    axes = axes * np.minimum(1.0, MOST_LOG_STEP / np.maximum(np.max(np.abs(axes), axis=0), MOST_LOG_STEP))
+    ends = [log.x + side * axes[:, j] for j in range(len(log.x)) for side in (1.0, -1.0)]
+    best = Plausible(model_at(log.type, log.x, log.sign), 0.0)
+    return (best, *(Plausible(model_at(log.type, x, log.sign), out**2) for x in ends))

@@ -14,10 +14,9 @@ from dataclasses import replace
 import numpy as np
 
 from retuner.adaptive.fit.structure import model_at, parameters_of
-from retuner.adaptive.identification.estimate import LogModel, proper_covariance
+from retuner.adaptive.identification.estimate import MOST_LOG_STEP, LogModel, proper_covariance
 from retuner.adaptive.identification.plausible import OUT, Plausible
 from retuner.adaptive.process.model import ProcessType
-from retuner.adaptive.region_model.from_neighbours import MOST_LOG_STEP
 from retuner.adaptive.region_model.region_curves import (
     Place,
     RegionCurves,

@@ -34,11 +34,11 @@ from retuner.adaptive.identification.estimate import (
     ModelEstimate,
     factors_text,
     proper_covariance,
+    spread,
 )
 from retuner.adaptive.identification.identify import Fits, FitSettings
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.region_model.co_curve import CoCurve, added, before
-from retuner.adaptive.region_model.from_neighbours import spread
 from retuner.adaptive.region_model.kalman import back_to_mean, gate, update, widened
 from retuner.adaptive.region_model.region_model import RecordPoint, RegionModel, StructureModel, remembered
 from retuner.adaptive.region_model.update import Agreement, Learned, TrackerSettings, grown, scattered

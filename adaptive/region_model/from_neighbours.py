@@ -5,23 +5,15 @@ guards any region model, and of a proposal, which the guard proves on the whole 
 and is never passed on.
 """
 
-import math
 from collections.abc import Mapping
 
-import numpy as np
-
 from retuner.adaptive.declared_setting import require_in_range, setting
-from retuner.adaptive.fit.structure import model_at
-from retuner.adaptive.identification.estimate import LogModel
-from retuner.adaptive.identification.plausible import OUT, Plausible
+from retuner.adaptive.identification.estimate import spread
 from retuner.adaptive.region_model.region_curves import centre_of, curves, lenders
 from retuner.adaptive.region_model.region_model import RegionModel, StructureModel
 from retuner.adaptive.region_model.update import Agreement, Learned, TrackerSettings
 from retuner.schedule.late_dataclass import dataclass, replace
 from retuner.schedule.regions import Regions
-
-MOST_LOG_STEP = math.log(2.0)
-"""Farthest that a borrowed model lies from its mean in any log-parameter: beyond, a Gaussian says nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,16 +71,6 @@ def borrowed(
     return RegionModel(
         tuple(ranked), 0, t_s, None, (), spread(log), identifiable=True, reason=f"estimated from other regions: {names}"
     )
-
-
-def spread(log: LogModel) -> tuple[Plausible, ...]:
-    """The mean and both ends of every principal axis of the covariance, for the proof of what rests on nothing else."""
-    values, vectors = np.linalg.eigh(log.p)
-    axes = OUT * vectors * np.sqrt(np.maximum(values, 0.0))
-    axes = axes * np.minimum(1.0, MOST_LOG_STEP / np.maximum(np.max(np.abs(axes), axis=0), MOST_LOG_STEP))
-    ends = [log.x + side * axes[:, j] for j in range(len(log.x)) for side in (1.0, -1.0)]
-    best = Plausible(model_at(log.type, log.x, log.sign), 0.0)
-    return (best, *(Plausible(model_at(log.type, x, log.sign), OUT**2) for x in ends))
 
 
 def as_wide_as_known(learned: Learned) -> Learned:

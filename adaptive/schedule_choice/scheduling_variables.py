@@ -249,19 +249,14 @@ def crossings(
         ways = edges if up else [(end, start) for start, end in edges]
         best = [_run(process, start, end, lambda _, pv: own(pv)) for start, end in ways]
         for variable in variables:
-            runs = [_run(process, start, end, _lookup(gains_at, variable)) for start, end in ways]
+            lookup: Lookup = (lambda sp, _: gains_at(sp)) if variable == "sp" else (lambda _, pv: gains_at(pv))
+            runs = [_run(process, start, end, lookup) for start, end in ways]
             each = [
                 RegionCrossing(variable, up, share, run[0] / ideal[0], run[1], ideal[1])
                 for run, ideal in zip(runs, best, strict=True)
             ]
             found.append(min(each, key=lambda one: (one.proper, -one.iae_ratio)))
     return found
-
-
-def _lookup(gains_at: Callable[[float], PidGains], variable: str) -> Lookup:
-    if variable == "sp":
-        return lambda sp, _: gains_at(sp)
-    return lambda _, pv: gains_at(pv)
 
 
 def _own(places: Sequence[Place]) -> Callable[[float], PidGains]:

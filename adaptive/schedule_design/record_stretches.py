@@ -102,7 +102,12 @@ def signals_of(window: Window, x: FloatArray, every: int, x2: FloatArray | None 
     pv, sp, x = (_averaged(window.t_s, values, t, h, dt) for values in (window.pv, window.sp, x))
     beside = None if x2 is None else _smoothed(_averaged(window.t_s, x2, t, h, dt))
     begun = np.append(window.t_s, window.t_s[-1] + dt)
-    return Signals(h, t, pv, sp, _smoothed(x), begun, fired, _changes(window, t), beside)
+    # rows of the even clock in which the setpoint steps
+    moved = np.abs(np.diff(window.sp))
+    least = max(CHANGED * noise_sigma(window.sp), 0.01 * float(np.ptp(window.sp)))
+    rows = np.unique(np.searchsorted(t, window.t_s[1:][moved > least])) if least else np.zeros(0, dtype=np.int64)
+    changes = tuple(int(row) for row in rows if row < len(t))
+    return Signals(h, t, pv, sp, _smoothed(x), begun, fired, changes, beside)
 
 
 def _smoothed(x: FloatArray) -> FloatArray:
@@ -121,17 +126,6 @@ def _averaged(at_s: FloatArray, values: FloatArray, t_s: FloatArray, h_s: float,
     low, high = (np.interp(t_s + side * h_s / 2, edges, summed) for side in (-1, 1))
     width = np.clip(t_s + h_s / 2, edges[0], edges[-1]) - np.clip(t_s - h_s / 2, edges[0], edges[-1])
     return np.asarray((high - low) / width, dtype=np.float64)
-
-
-def _changes(window: Window, t_s: FloatArray) -> tuple[int, ...]:
-    """Rows of an even clock in which the setpoint steps."""
-    moved = np.abs(np.diff(window.sp))
-    least = max(CHANGED * noise_sigma(window.sp), 0.01 * float(np.ptp(window.sp)))
-    if not least:
-        return ()
-    at = window.t_s[1:][moved > least]
-    rows = np.searchsorted(t_s, at)
-    return tuple(int(row) for row in np.unique(rows) if row < len(t_s))
 
 
 def cut(signals: Signals) -> list[Stretch]:
