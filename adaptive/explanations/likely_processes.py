@@ -1,9 +1,9 @@
 """Processes of the grid with their odds: Ms of a set of gains on each, and what the set costs over them.
 
-    cost = ln(1/ki) + RISK ln(Ms / ms_calm)+       (unstable: UNSTABLE)
+    cost = ln IAE + RISK ln(Ms / ms_calm)+       (unstable: ln(1/ki) + UNSTABLE)
 
-1/ki is the integrated error after a unit load step, whatever the process (Astrom & Hagglund 2006, section 4.3); the
-second term is what too little robustness costs.
+IAE is that after a unit load step: 1/ki times what iae_over_ie (process_grid.py) says. The second term is what too
+little robustness costs.
 """
 
 import math
@@ -20,10 +20,11 @@ from retuner.adaptive.explanations.process_grid import (
     ComplexArray,
     ProcessShape,
     control_law,
+    iae_over_ie,
     loop_phases,
     shapes,
 )
-from retuner.adaptive.process.model import ProcessModel, ProcessType
+from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, field
@@ -31,7 +32,7 @@ from retuner.schedule.late_dataclass import dataclass, field
 
 @dataclass(frozen=True, slots=True)
 class WorthSettings:
-    """When settings are given. Costs are logarithms of the integrated error. SIMC's own Ms is 1.59 to 1.70."""
+    """When settings are given. Costs are logarithms of IAE. SIMC's own Ms is 1.59 to 1.70."""
 
     worth: float = setting(0.25, "How much cheaper settings must be expected to be", "0.1..0.7")
     ms_bad: float = setting(1.8, "Ms that no more than bad_share of the odds may have", "1.1..3.5")
@@ -129,16 +130,27 @@ def quantile(values: FloatArray, weights: FloatArray, share: float) -> float:
 
 
 def costs(likely: LikelyProcesses, gains: PidGains, settings: WorthSettings) -> tuple[FloatArray, FloatArray]:
-    """Cost of a set, and its Ms, on each process."""
+    """Cost of a set (head of this file), and its Ms, on each process."""
     peaks = likely.peaks(gains)
-    return cost_at(peaks, gains, settings), peaks
+    return _cost(likely.responses, peaks, gains, likely.sample_time_s, settings), peaks
 
 
-def cost_at(peaks: FloatArray, gains: PidGains, settings: WorthSettings) -> FloatArray:
-    """Cost of a set (head of this file) where Ms is this."""
-    over = np.log(np.maximum(np.where(np.isinf(peaks), 1.0, peaks) / settings.ms_calm, 1.0))
-    risk = np.where(np.isinf(peaks), settings.unstable, np.minimum(settings.risk * over, settings.unstable))
-    return np.asarray(risk - (math.log(abs(gains.ki)) if gains.ki else -settings.unstable))
+def cost_on(process: LinearProcess, ms: float, gains: PidGains, interval_s: float, settings: WorthSettings) -> float:
+    """Cost of a set on a process on which it has this Ms. interval_s : in which the process is slow, as in a book."""
+    response = gains.direction * process.response(FREQUENCIES / interval_s)[None]
+    return float(_cost(response, np.array([ms]), gains, interval_s, settings)[0])
+
+
+def _cost(
+    responses: ComplexArray, peaks: FloatArray, gains: PidGains, interval_s: float, settings: WorthSettings
+) -> FloatArray:
+    stable, risk = np.isfinite(peaks), np.full(len(peaks), settings.unstable)
+    over = np.log(np.maximum(peaks[stable] / settings.ms_calm, 1.0))
+    risk[stable] = np.minimum(settings.risk * over, settings.unstable)
+    if not gains.ki:
+        return risk + settings.unstable
+    risk[stable] += iae_over_ie(responses[stable], control_law(gains, interval_s))
+    return risk - math.log(abs(gains.ki))
 
 
 def expected_cost(likely: LikelyProcesses, gains: PidGains, settings: WorthSettings) -> tuple[float, FloatArray]:

@@ -119,6 +119,37 @@ def control_law(gains: PidGains, sample_time_s: float) -> ComplexArray:
     return np.asarray(abs(gains.kp) + abs(gains.ki) * dt / s + abs(gains.kd) / dt * s, dtype=np.complex128)
 
 
+def iae_over_ie(responses: ComplexArray, law: ComplexArray) -> FloatArray:
+    """IAE over the integral of the error after a load step, ln, at least 0; shape (n,). A loop that swings, or has too
+    much integral action for its gain, passes the setpoint on its way back.
+
+    responses, law : of stable loops, shape (n, frequencies), (frequencies,). The integral of the error is 1/ki,
+    whatever the process (Astrom & Hagglund 2006, section 4.3).
+    """
+    to_times, weights = _inverse()
+    error = responses / (1j * FREQUENCIES * (1.0 + responses * law))  # after a unit step in the load
+    integral = 1.0 / (1j * FREQUENCIES[0] * law[0]).real
+    return np.asarray(np.maximum(np.log(np.abs(error.real @ to_times) @ weights / integral), 0.0))
+
+
+TIMES = np.geomspace(0.5, 8000.0, 64)  # samples after a step, for its integral
+
+
+@cache
+def _inverse() -> tuple[FloatArray, FloatArray]:
+    """What takes the real part of a response at FREQUENCIES to TIMES, 2/pi integral Re E cos(wt) dw with E linear from
+    one frequency to the next (Filon 1928), and the weights of TIMES in an integral over them.
+    """
+    cosines, steps = np.cos(np.outer(FREQUENCIES, TIMES)), np.diff(TIMES)
+    slopes = np.diff(cosines, axis=0) / np.diff(FREQUENCIES)[:, None] / TIMES**2
+    parts = np.zeros_like(cosines)
+    parts[1:] += slopes
+    parts[:-1] -= slopes
+    parts[-1] += np.sin(FREQUENCIES[-1] * TIMES) / TIMES
+    weights = (np.append(steps, 0.0) + np.append(TIMES[0], steps)) / 2.0
+    return 2.0 / math.pi * parts, weights
+
+
 def gain_unit(gains: PidGains, sample_time_s: float) -> float:
     """What loop gains are counted by: kp; of a controller without one, what its other actions do in ten samples."""
     kp, ki, kd = abs(gains.kp), abs(gains.ki) * 10 * sample_time_s, abs(gains.kd) / (10 * sample_time_s)

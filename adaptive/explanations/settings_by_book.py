@@ -2,8 +2,7 @@
 
     worth(set) = E[cost(in force)] - E[cost(set)],     cost as in likely_processes.py
 
-1/ki is the integrated error after a unit load step, whatever the process (Astrom & Hagglund 2006, section 4.3). The
-expectation is over processes drawn from the book, each as likely as the others; what is told of the gains in force
+The expectation is over processes drawn from the book, each as likely as the others; what is told of the gains in force
 holds between the grid's points as well (`over_cells`). On line a change costs more than words:
 it is made where the book is clear, and was at the look before (for less action after the whole window before), and
 where no tone from outside may be what moves it, unless the setpoint has moved it as well. Less action, where Ms is
@@ -49,7 +48,7 @@ _MS = "1.1..3.5"  # every limit of Ms lies between these: they follow a person's
 
 @dataclass(frozen=True, slots=True)
 class BookSettings:
-    """When something follows from all samples. Costs are logarithms of the integrated error; what a set costs: cost."""
+    """When something follows from all samples. Costs are logarithms of IAE; what a set costs: cost."""
 
     hazard_s: float = setting(
         30 * 86400.0, "Mean time after which a process is another one", "86400..3.2e7 s", "fouling, wear"
@@ -59,7 +58,9 @@ class BookSettings:
     )
     drawn: int = setting(300, "Processes that stand for the weights", "100..1000")
     tone: float = setting(0.2, "Odds of an external oscillation from which nothing follows by loads alone", "0.05..0.9")
-    worth: float = setting(0.25, "How much cheaper a change must be expected to be", "0.1..0.7")
+    worth: float = setting(
+        0.18, "How much cheaper a change must be expected to be", "0.1..0.7", "ln 1.2: below J's limit"
+    )
     ms_high: float = setting(2.0, "Ms above which a loop has too little robustness", _MS)
     ms_good: float = setting(1.7, "Ms up to which a loop may have more action", _MS)
     ms_bad: float = setting(1.8, "Ms that bad_share of the processes may exceed after more action", _MS)
@@ -94,7 +95,7 @@ Kind = tuple[tuple[float, ...], tuple[float, ...], float, float]
 """Candidates: factors on all actions and on the integral time; integral action grows by more than, and to at most."""
 MORE_OF_ALL: Kind = (MORE, SHORTER, 1.0, AT_ONCE)
 LESS_OF_ALL: Kind = (LESS, (*LONGER, *SHORTER[1:]), 0.0, 1.0)
-MORE_GAIN: Kind = (MORE[1:], LONGER[1:], 0.0, 1.0)
+MORE_GAIN: Kind = (MORE[1:], LONGER[1:], 0.0, AT_ONCE)
 MORE_INTEGRAL: Kind = (LESS[:4], (*SHORTER[1:], *SHORTEST), 1.0, AT_ONCE)  # in one step: halfway Ms may be as bad
 """A loop may have too much of gain or integral action for the other: the integral time falls with the gain, too."""
 
@@ -288,14 +289,13 @@ def _best(
     """Worth, gains and Ms on each process of the candidate that is most worth a change; None where none is."""
     (now, before), found = expected_cost(drawn, gains, settings.cost), []
     for new in candidates:
-        cost, peaks = expected_cost(drawn, new, settings.cost)
+        peaks = drawn.peaks(new)
         good = float(drawn.weights @ (peaks <= settings.ms_good)) >= settings.more_odds
-        if more and not (good and _harmless(drawn, before, peaks, settings)):
+        if not (good and _harmless(drawn, before, peaks, settings)) if more else lets_go(drawn, gains, new, settings):
             continue
-        if not more and lets_go(drawn, gains, new, settings):
-            continue
-        if now - cost >= settings.worth:
-            found.append((now - cost, new, peaks))
+        worth = now - expected_cost(drawn, new, settings.cost)[0]
+        if worth >= settings.worth:
+            found.append((worth, new, peaks))
     return max(found, key=lambda one: one[0], default=None)
 
 

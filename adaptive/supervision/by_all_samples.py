@@ -25,7 +25,7 @@ from retuner.adaptive.decision_numbers import NO_NUMBERS, Basis
 from retuner.adaptive.diagnosis.cause import MOST, Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.explanations.book import MOST_ROOM, MS_OF_ROOM, Book, doubted, heard, update
-from retuner.adaptive.explanations.likely_processes import cost_at
+from retuner.adaptive.explanations.likely_processes import cost_on
 from retuner.adaptive.explanations.settings_by_book import BookSettings, ByBook, bears, by_book, gain, lets_go, shares
 from retuner.adaptive.explanations.wandering_load import Prepared, lead_of_steps, log_likelihood
 from retuner.adaptive.guard import Proof, prove
@@ -399,8 +399,11 @@ def _proved_by_all_samples(found: Findings, own: Outcome, seen: AllSamples) -> O
     if not proof.accepted or proof.gains is None:
         return None
     if also:  # on the likeliest of them, how much less does it cost, ln?
+        process = also[0].model.seen_by_controller(settings.sample_time_s).linear()
         sets = record.in_force, proof.gains
-        stays, goes = (cost_at(np.array(_ms(also[0], one, settings)), one, settings.book.cost) for one in sets)
+        stays, goes = (
+            cost_on(process, _ms(also[0], one, settings), one, book.dt_s, settings.book.cost) for one in sets
+        )
         if stays - goes < settings.book.worth:
             return None
     if less and lets_go(book.drawn(settings.book.drawn), record.in_force, proof.gains, settings.book):
@@ -425,12 +428,13 @@ def _cause_of(
     if told.leans < 0:
         return Cause.AGGRESSIVE, told.numbers.book_high, "less action"
     gain_up, integral_up = abs(new.kp) > NEARLY * abs(now.kp), abs(new.ki) > NEARLY * abs(now.ki)
+    better = gain(book.drawn(settings.drawn), now, new, settings)[1]
     if gain_up and integral_up:
-        return Cause.SLUGGISH, told.numbers.book_room, "more action"
+        return Cause.SLUGGISH, better if book.told_by_setpoint else told.numbers.book_room, "more action"
     cause, up, down = (
         (Cause.AGGRESSIVE, "gain", "integral action") if gain_up else (Cause.SLUGGISH, "integral action", "gain")
     )
-    return cause, gain(book.drawn(settings.drawn), now, new, settings)[1], f"more {up} with less {down}"
+    return cause, better, f"more {up} with less {down}"
 
 
 MOST_VALVE, MOST_SURE = 1.5, 0.97

@@ -8,7 +8,16 @@ from drawn_loop import PRIOR, loop_record
 
 from retuner.adaptive.explanations.deciding_test import deciding_test, valve_test
 from retuner.adaptive.explanations.likely_processes import WorthSettings
-from retuner.adaptive.explanations.process_grid import DEAD_TIMES, GAINS, gain_unit, shapes, units
+from retuner.adaptive.explanations.process_grid import (
+    DEAD_TIMES,
+    FREQUENCIES,
+    GAINS,
+    control_law,
+    gain_unit,
+    iae_over_ie,
+    shapes,
+    units,
+)
 from retuner.adaptive.explanations.proposed_test import DecidingTest, TestKind
 from retuner.adaptive.explanations.settings_by_odds import halved, likely_processes, worthwhile
 from retuner.adaptive.explanations.tuning_odds import TuningLimits, TuningOdds, tuning_odds
@@ -75,6 +84,16 @@ def test_a_level_loop_gets_the_integral_time_of_the_middle_of_the_odds_and_not_t
     new = found.tuning.gains
     assert slopes[at] * new.kp**2 / new.ki == pytest.approx(4.0, rel=0.05)
     assert slopes[at + 2] > 1.2 * slopes[at]
+
+
+@pytest.mark.parametrize("damping", [0.3, 0.4, 0.5, 0.7, 1.5])
+def test_iae_after_a_load_step_is_that_of_a_second_order_loop(damping: float) -> None:
+    """An integrator under PI control: an impulse response of second order, IAE ki = coth(pi z / 2 sqrt(1 - z^2))."""
+    w0 = 0.02
+    gains = PidGains(2.0 * damping * w0, w0**2)
+    found = iae_over_ie(1.0 / (1j * FREQUENCIES)[None], control_law(gains, 1.0))
+    turn = math.pi * damping / (2.0 * math.sqrt(1.0 - damping**2)) if damping < 1.0 else math.inf
+    assert found == pytest.approx(-math.log(math.tanh(turn)), abs=0.02)
 
 
 def test_a_loop_in_order_needs_no_other_settings() -> None:
