@@ -67,6 +67,9 @@ FREE_DEAD_TIMES = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.5, 7.0, 9.0, 12.0)
 FINER = tuple((np.arange(-8, 9) / 8).tolist())
 """Dead times, and those beside the likeliest: half a sample that a grid lacks was taken for a valve, where the noise is
 small."""
+Tone = tuple[FloatArray | None, tuple[int, ...], tuple[float, ...]]
+NO_TONE: Tone = None, (0,), (0.0,)
+"""A tone that loads may hold, as likeliest_tone (tone.py) gives it."""
 Loads = Sequence[tuple[float, int]]
 LOADS: Loads = tuple((bandwidth, order) for order in (1, 2) for bandwidth in (0.05, 0.2, 0.8, math.inf))
 """Bandwidth and order of the loads that are tried."""
@@ -83,12 +86,12 @@ def positions(co: FloatArray, valves: Sequence[Valve]) -> tuple[list[int], Float
     return which, np.array([each[i] - each[i][0] for i in which])
 
 
-def log_odds_of_valve(records: Sequence[Prepared], direction: int) -> float:
+def log_odds_of_valve(records: Sequence[Prepared], direction: int, tone: Tone = NO_TONE) -> float:
     """Tempered logarithm of the Bayes factor of a valve that sticks or has play; 0 where no valve moves.
 
-    records : of one loop. direction : sign of the process gain.
+    records : of one loop. direction : sign of the process gain. tone : that every load may hold.
     """
-    each = [one for record in records if (one := _compared(record, direction)) is not None]
+    each = [one for record in records if (one := _compared(record, direction, tone)) is not None]
     alone = sum(one.odds for one in each)
     if len(each) < 2:
         return alone
@@ -108,6 +111,7 @@ class _Compared:
 
     record: Prepared
     direction: int
+    tone: Tone
     loads: Loads
     free: float
     odds: float
@@ -119,12 +123,14 @@ class _Compared:
         co = self.record.co
         rows = np.array([[StuckValve(f, b, j * b, start).position(co) for start in STARTS] for f, b, j, _ in valves])
         rows -= rows[..., :1]
-        found = _screened(self.record, self.direction, rows.reshape(-1, len(co)), self.loads[:SCREENED])
+        found = _screened(self.record, self.direction, self.tone, rows.reshape(-1, len(co)), self.loads[:SCREENED])
         at = np.argmax(found.max(axis=0).reshape(len(valves), -1), axis=1)
-        return _likeliest(self.record, self.direction, rows[np.arange(len(valves)), at], self.loads) - self.free
+        return (
+            _likeliest(self.record, self.direction, self.tone, rows[np.arange(len(valves)), at], self.loads) - self.free
+        )
 
 
-def _compared(record: Prepared, direction: int) -> _Compared | None:
+def _compared(record: Prepared, direction: int, tone: Tone) -> _Compared | None:
     """A record beside all valves; None where co or every valve stands still."""
     travel = float(np.ptp(record.co))
     moved = [positions(record.co, valves) for valves in KINDS] if travel > 0 else [([], record.co)]
@@ -133,51 +139,55 @@ def _compared(record: Prepared, direction: int) -> _Compared | None:
     n, spectra, short = len(record.co), spectrum(record.co), [pole_of(lag) for lag in SHORT]
     lagged = [filtered(spectra, n, impulse_response((1.0 - pole,), (1.0, -pole), n)) for pole in short]
     co = np.array([record.co, *lagged])
-    by_load = np.maximum(*(_screened(record, direction, rows, OCTAVES).max(axis=1) for rows in (co, moved[0][1])))
+    by_load = np.maximum(*(_screened(record, direction, tone, rows, OCTAVES).max(axis=1) for rows in (co, moved[0][1])))
     loads = [OCTAVES[i] for i in np.argsort(-by_load, kind="stable")[:CLOSER_LOADS]]
-    free = float(_likeliest(record, direction, co, loads, len(FREE_LAGS)).max())
+    free = float(_likeliest(record, direction, tone, co, loads, len(FREE_LAGS)).max())
     said, likeliest = [], []
     for valves, (which, rows) in zip(KINDS, moved, strict=True):
-        screened = _screened(record, direction, rows, loads[:SCREENED]).max(axis=0)
+        screened = _screened(record, direction, tone, rows, loads[:SCREENED]).max(axis=0)
         first = np.argsort(-screened, kind="stable")[:LIKELIEST]
-        found = _likeliest(record, direction, rows[first], loads) - free
+        found = _likeliest(record, direction, tone, rows[first], loads) - free
         said.append(log_mean(found) + math.log(len(first) / len(which)))
         best = [valves[which[i]] for i in first[np.argsort(-found, kind="stable")]]
         likeliest.append([(family, travel * band, jump, start) for family, band, jump, start in best])
     among = [len(which) for which, _ in moved]
-    return _Compared(record, direction, loads, free, log_mean(np.array(said)), likeliest, among)
+    return _Compared(record, direction, tone, loads, free, log_mean(np.array(said)), likeliest, among)
 
 
-def _screened(record: Prepared, direction: int, rows: FloatArray, loads: Loads) -> FloatArray:
+def _screened(record: Prepared, direction: int, tone: Tone, rows: FloatArray, loads: Loads) -> FloatArray:
     """Tempered log-likelihood of rows behind one lag, the likeliest; shape (loads, rows)."""
-    each = [_weighed(record, direction, rows, lag, loads, FREE_DEAD_TIMES, first_only=True) for lag in FREE_LAGS]
+    each = [_weighed(record, direction, tone, rows, lag, loads, FREE_DEAD_TIMES, first_only=True) for lag in FREE_LAGS]
     return np.asarray(np.max(each, axis=(0, 2, 4)))
 
 
-def _likeliest(record: Prepared, direction: int, rows: FloatArray, loads: Loads, lags: int = CLOSER_LAGS) -> FloatArray:
+def _likeliest(
+    record: Prepared, direction: int, tone: Tone, rows: FloatArray, loads: Loads, lags: int = CLOSER_LAGS
+) -> FloatArray:
     """Tempered log-likelihood of each row with its likeliest process and load.
 
     lags : first ones that get finer dead times.
     """
-    each = [_weighed(record, direction, rows, lag, loads, FREE_DEAD_TIMES).max(axis=(0, 1)) for lag in FREE_LAGS]
+    each = [_weighed(record, direction, tone, rows, lag, loads, FREE_DEAD_TIMES).max(axis=(0, 1)) for lag in FREE_LAGS]
     found = np.full(len(rows), -math.inf)
     for i in range(len(rows)):
         for k in np.argsort([-float(one[i].max()) for one in each], kind="stable")[:lags]:
             late = FREE_DEAD_TIMES[int(np.argmax(each[k][i]))]
             dead = tuple(late + part for part in FINER if late + part >= 0.0)
-            closer = _weighed(record, direction, rows[i : i + 1], FREE_LAGS[k], loads, dead)
+            closer = _weighed(record, direction, tone, rows[i : i + 1], FREE_LAGS[k], loads, dead)
             found[i] = max(found[i], float(closer.max()))
     return found
 
 
 def _weighed(
-    record: Prepared, direction: int, rows: FloatArray, lag: float, loads: Loads, dead: tuple[float, ...],
+    record: Prepared, direction: int, tone: Tone, rows: FloatArray, lag: float, loads: Loads, dead: tuple[float, ...],
     *, first_only: bool = False,
 ) -> FloatArray:  # fmt: skip
     """Tempered log-likelihoods, shape (loads, second lags, rows, dead times); no gain of the wrong sign."""
-    fits = under_loads(record, rows, lag, loads, dead, first_only=first_only)
+    columns, ends, prices = tone
+    fits = under_loads(record, rows, lag, loads, dead, first_only=first_only, tones=columns, ends=ends)
     right = np.where(fits.gain * direction > 0, fits.gain, 0.0)
-    return WEIGHT * fits.tempered(right[..., None]).reshape(len(loads), -1, len(rows), len(dead))
+    each = fits.tempered(right[..., None]).reshape(len(loads), len(ends), -1, len(rows), len(dead))
+    return WEIGHT * np.max(each - np.array(prices)[:, None, None, None] / TEMPER, axis=1)
 
 
 def log_mean(values: FloatArray) -> float:
