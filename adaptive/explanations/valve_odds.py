@@ -187,7 +187,7 @@ def _weighed(
     fits = under_loads(record, rows, lag, loads, dead, first_only=first_only, tones=columns, ends=ends)
     right = np.where(fits.gain * direction > 0, fits.gain, 0.0)
     each = fits.tempered(right[..., None]).reshape(len(loads), len(ends), -1, len(rows), len(dead))
-    return WEIGHT * np.max(each - np.array(prices)[:, None, None, None] / TEMPER, axis=1)
+    return np.asarray(WEIGHT * np.max(each - np.array(prices)[:, None, None, None] / TEMPER, axis=1))
 
 
 def log_mean(values: FloatArray) -> float:
