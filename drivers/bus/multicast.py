@@ -42,8 +42,7 @@ class GroupSocket(GeneralPurposeUdpMulticastBus):
         """Become a member: on the loopback interface alone as long as nothing may leave the machine."""
         sock.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, self.hop_limit)
         sock.setsockopt(socket.IPPROTO_IP, IP_MULTICAST_ALL, 0)
-        where = bytes(4) if self.hop_limit else LOOPBACK
-        sock.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, group + where)
+        sock.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, group + (bytes(4) if self.hop_limit else LOOPBACK))
         if not self.hop_limit:
             sock.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, LOOPBACK)
 

@@ -212,8 +212,7 @@ class CanOpenAccess:
             return (Heard("mode", float(expected)),)
         if expected:
             return (NoFault(watch.source),)
-        reason = watch.states.reason or f"object {text_of(variable)} = {int(value):#x}"
-        return (Stopped(reason, watch.source),)
+        return (Stopped(watch.states.reason or f"object {text_of(variable)} = {int(value):#x}", watch.source),)
 
     def _on_state(self, state: int) -> Sequence[Told]:
         if state == BOOTED:

@@ -91,8 +91,7 @@ class EdsFile:
         """
         found = self._found(name, (*key, "object"))
         where = f"{self.source}: object {text_of(found)} ({found.name})"
-        numeric = found.data_type in datatypes.NUMBER_TYPES
-        if not numeric or len(found) > 8 * WIDEST:
+        if found.data_type not in datatypes.NUMBER_TYPES or len(found) > 8 * WIDEST:
             raise ProfileError(f"{where} is not a number of at most {WIDEST} bytes", (*key, "object"))
         if written and not found.writable:
             raise ProfileError(f"{where} cannot be written ({found.access_type})", (*key, "object"))

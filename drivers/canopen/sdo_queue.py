@@ -51,8 +51,7 @@ class _Segments:
         """The next segment to write."""
         part = self.data[self.at : self.at + IN_A_SEGMENT]
         self.at += len(part)
-        last = LAST if self.at >= len(self.data) else 0
-        head = SEGMENT_DOWN | self.toggle | (IN_A_SEGMENT - len(part)) << 1 | last
+        head = SEGMENT_DOWN | self.toggle | (IN_A_SEGMENT - len(part)) << 1 | (LAST if self.at >= len(self.data) else 0)
         return bytes([head]) + part.ljust(IN_A_SEGMENT, b"\0")
 
     def up(self) -> bytes:

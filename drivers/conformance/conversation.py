@@ -328,8 +328,7 @@ class OnBus:
 
     def sample(self) -> list[can.Message]:
         """What comes until a whole sample has come."""
-        patience_s = self._clock.now_s() + 4 * self._sample_s + 1.0
-        self._listen(patience_s, lambda m: m.arbitration_id & 31 == TELEMETRY_SP)
+        self._listen(self._clock.now_s() + 4 * self._sample_s + 1.0, lambda m: m.arbitration_id & 31 == TELEMETRY_SP)
         messages, self._waiting = self._waiting, []
         return messages
 

@@ -59,7 +59,7 @@ def frames(found: Examination) -> None:
     good = talk.codec.encode(wire.Read(wire.Page.IDENTITY, 5))
     id_, data = good.arbitration_id, bytes(good.data)
     owned = talk.owner % wire.OWNER_TAG << 2
-    bad = {
+    for name, message in {
         "a READ with a wrong checksum": can.Message(arbitration_id=id_, is_extended_id=False, data=flipped(data)),
         "a READ that is too short": can.Message(arbitration_id=id_, is_extended_id=False, data=data[:-1]),
         "a READ that is too long": can.Message(arbitration_id=id_, is_extended_id=False, data=data + b"\0"),
@@ -70,13 +70,11 @@ def frames(found: Examination) -> None:
         "a READ as an extended frame": can.Message(arbitration_id=id_, is_extended_id=True, data=data),
         "a remote frame": can.Message(arbitration_id=id_, is_extended_id=False, is_remote_frame=True, dlc=4),
         "an unknown command": sealed(talk.node, 0, b"\x00"),
-    }
-    for name, message in bad.items():
+    }.items():
         _refused(found, name, message)
     talk.look()
     before = talk.known.refused
-    other = talk.node % 63 + 1
-    found.expect("READ to another node", _told(talk.raw(sealed(other, READ, b"\x03\x05\x00"))), [])
+    found.expect("READ to another node", _told(talk.raw(sealed(talk.node % 63 + 1, READ, b"\x03\x05\x00"))), [])
     talk.look()
     found.expect("frames counted as refused after one to another node", talk.known.refused, before)
 
@@ -217,8 +215,7 @@ def stamps(found: Examination) -> None:
     for back, wanted in ((1, wire.Reason.OK), (2, wire.Reason.STALE)):
         stamp = lease_stamp(talk.known.epoch, talk.known.sample - back * STAMP_SAMPLES)
         request = wire.Lease(talk.owner, stamp, LEASE_SAMPLES, talk.counter())
-        name = f"LEASE with the stamp of {back * STAMP_SAMPLES} samples before"
-        found.expect(name, talk.reason(request), wanted)
+        found.expect(f"LEASE with the stamp of {back * STAMP_SAMPLES} samples before", talk.reason(request), wanted)
 
 
 def _lease_ends(found: Examination) -> None:

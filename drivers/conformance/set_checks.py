@@ -36,8 +36,7 @@ def staging(found: Examination) -> None:
     found.expect("the end of the staged page", seen, (1, seq, token % wire.PAGE_TAG, hex(crc)))
     talk.look()
     found.holds("HEARTBEAT does not say that a page is staged", talk.known.flags & wire.Flags.STAGED)
-    newer = (seq + 1) % 65536
-    talk.say(talk.stage(newer, gains)[0])
+    talk.say(talk.stage((seq + 1) % 65536, gains)[0])
     found.expect(
         "STAGE under a newer number begins a new page: its items", sorted(talk.page(wire.Page.STAGED).items), [0]
     )
@@ -58,12 +57,10 @@ def committing(found: Examination) -> None:
     found.other = talk.known.gains
     found.expect("number of the active gains", talk.known.seq, seq)
     _one_sample(found, frames, seq)
-    base = next((f for f in frames if isinstance(f, wire.TelemetrySp)), None)
-    if base is not None and talk.known.seq == seq:
-        again = wire.Commit(seq, (seq - 1) % 65536, 1)
+    if next((f for f in frames if isinstance(f, wire.TelemetrySp)), None) is not None and talk.known.seq == seq:
         found.holds(
             "a COMMIT with another crc under the running number is accepted",
-            talk.reason(again) is not wire.Reason.OK,
+            talk.reason(wire.Commit(seq, (seq - 1) % 65536, 1)) is not wire.Reason.OK,
         )
     _bumpless(found)
 
@@ -200,8 +197,7 @@ def _raw_refusal(found: Examination, name: str, values: tuple[float, ...], reaso
     talk = found.talk
     seq = talk.fresh_seq()
     stage = [wire.Stage(item, talk.owner % 64, values[item], seq) for item in wire.Item]
-    answer = talk.reason(*stage, wire.Commit(seq, talk.known.seq, 0))
-    _judge(found, name, stage[0], answer, reasons)
+    _judge(found, name, stage[0], talk.reason(*stage, wire.Commit(seq, talk.known.seq, 0)), reasons)
 
 
 def _judge(
@@ -230,22 +226,19 @@ def _numbers(found: Examination) -> None:
     missing = talk.ack(*talk.stage(seq, good)[::2], talk.commit(seq, good))
     got = None if missing is None else (wire.Reason(missing.reason), missing.item)
     found.expect("COMMIT of a page without ki", got, (wire.Reason.INCOMPLETE, int(wire.Item.KI)))
-    old = talk.commit((talk.known.seq - 1) % 65536, good)
-    found.answers("COMMIT of an old number", wire.Reason.STALE, old)
+    found.answers("COMMIT of an old number", wire.Reason.STALE, talk.commit((talk.known.seq - 1) % 65536, good))
 
 
 def fencing(found: Examination) -> None:
     """ABORT has three answers, and what it fences off never runs."""
     talk, good = found.talk, found.other
     before = talk.known.gains
-    running = talk.known.seq
-    found.answers("ABORT of the running number", wire.Reason.ALREADY_RUNNING, wire.Abort(running))
+    found.answers("ABORT of the running number", wire.Reason.ALREADY_RUNNING, wire.Abort(talk.known.seq))
     seq = talk.fresh_seq()
     commit = talk.commit(seq, good)
     codes = talk.codes(seq, good)
     talk.samples(1)
-    frames = talk.say(*talk.stage(seq, good), *codes, commit, wire.Abort(seq))
-    answer = first_ack(frames, wire.Kind.ABORT)
+    answer = first_ack(talk.say(*talk.stage(seq, good), *codes, commit, wire.Abort(seq)), wire.Kind.ABORT)
     if answer is not None and wire.Reason(answer.reason) is wire.Reason.ALREADY_RUNNING:
         found.left_out.append("ABORT of a commit that waits for its sample: the samples are too short to try it")
         talk.look()
@@ -291,13 +284,10 @@ def busy(found: Examination) -> None:
 def trial(found: Examination) -> None:
     """A new set is on trial until it is confirmed, and is not stored before."""
     talk = found.talk
-    gains = found.other if talk.known.gains != found.other else found.first
-    seq, _ = talk.write(gains)
+    seq, _ = talk.write(found.other if talk.known.gains != found.other else found.first)
     found.holds("HEARTBEAT does not say that the new set is on trial", talk.known.flags & wire.Flags.TRIAL)
-    tag = talk.owner % 256
-    found.answers("STORE on trial", wire.Reason.NOT_CONFIRMED, wire.Store(seq, tag))
-    old = (seq - 1) % 65536
-    found.answers("CONFIRM of another number", wire.Reason.STALE, wire.Confirm(old, talk.owner))
+    found.answers("STORE on trial", wire.Reason.NOT_CONFIRMED, wire.Store(seq, talk.owner % 256))
+    found.answers("CONFIRM of another number", wire.Reason.STALE, wire.Confirm((seq - 1) % 65536, talk.owner))
     found.answers("CONFIRM", wire.Reason.OK, wire.Confirm(seq, talk.owner))
     found.answers("CONFIRM again", wire.Reason.OK, wire.Confirm(seq, talk.owner))
     talk.look()
@@ -311,8 +301,7 @@ def storing(found: Examination) -> None:
     talk.look()
     seq, tag = talk.known.seq, talk.owner % 256
     found.answers("STORE with a wrong key", wire.Reason.WRONG_KEY, wire.Store(seq, tag, 5))
-    old = (seq - 1) % 65536
-    found.answers("STORE of another number", wire.Reason.STALE, wire.Store(old, tag))
+    found.answers("STORE of another number", wire.Reason.STALE, wire.Store((seq - 1) % 65536, tag))
     found.answers("STORE", wire.Reason.OK, wire.Store(seq, tag))
     talk.look()
     found.holds("HEARTBEAT does not say that the active gains is stored", talk.known.flags & wire.Flags.STORED)
@@ -395,10 +384,8 @@ def reverting(samples: int) -> Check:
         """A set that is not confirmed in time gives way, and says so."""
         talk = found.talk
         before = (talk.known.seq, talk.known.gains)
-        gains = found.other if before[1] != found.other else found.first
-        seq, _ = talk.write(gains)
-        frames = talk.samples(samples + 2)
-        told = first_ack(frames, wire.Kind.CONFIRM)
+        seq, _ = talk.write(found.other if before[1] != found.other else found.first)
+        told = first_ack(talk.samples(samples + 2), wire.Kind.CONFIRM)
         got = None if told is None else (told.seq, wire.Reason(told.reason))
         found.expect("after the trial time", got, (seq, wire.Reason.REVERTED))
         talk.look()

@@ -112,8 +112,7 @@ class DbcAccess:
         self._guards: dict[int, FrameGuard] = {}  # by the identifier of their messages
         for i, protection in enumerate(self._mapping.protected):
             layout = self._file.layout(protection.message, ("protect", i, "message"))
-            guard = guard_of(layout, protection, self._file.source, ("protect", i))
-            self._guards[self._file.frame_id(layout)] = guard
+            self._guards[self._file.frame_id(layout)] = guard_of(layout, protection, self._file.source, ("protect", i))
         require_distinct(self._uses(), file.source)
 
     def _uses(self) -> Iterator[Use]:

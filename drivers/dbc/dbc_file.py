@@ -101,8 +101,7 @@ class DbcFile:
 
     def frame_id(self, layout: Layout, key: Key = ()) -> int:
         """Identifier of a message of this node."""
-        moved = 0 if self.shift is None else (self.node - self.described) << self.shift
-        found = layout.frame_id + moved
+        found = layout.frame_id + (0 if self.shift is None else (self.node - self.described) << self.shift)
         if not 0 <= found < 1 << (29 if layout.is_extended_frame else 11):
             raise ProfileError(f"{self.source}: message {layout.name} of node {self.node} has no identifier", key)
         return found

@@ -93,8 +93,7 @@ class VirtualDbcDevice:
         place, guard = self._places[slot], self._guards.get(slot[0])
         values = defaults(place.layout, place.page, {})
         for name, value in self._sent[slot].items():
-            signal = place.layout.get_signal_by_name(name)
-            there = SignalPlace(place.layout, signal, place.frame_id).holds()
+            there = SignalPlace(place.layout, place.layout.get_signal_by_name(name), place.frame_id).holds()
             values[name] = there.nearest(min(max(value(), there.low), there.high))
         if guard is not None:
             guard.count(values)

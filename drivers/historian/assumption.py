@@ -23,8 +23,7 @@ def in_a_line(assumed: tuple[Assumption, ...]) -> str:
 def in_full(assumed: tuple[Assumption, ...]) -> list[str]:
     """A line each: what could stand in a [record] section, and what it means."""
     lines = [f"{a.key:<40}  # {a.what}" for a in assumed if a.key]
-    told = [f"# {a.what}" for a in assumed if not a.key]
-    return ["[record]", *lines, *told]
+    return ["[record]", *lines, *[f"# {a.what}" for a in assumed if not a.key]]
 
 
 def quoted(text: str) -> str:

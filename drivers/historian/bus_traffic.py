@@ -164,8 +164,7 @@ def _raw(signal: Signal, payload: np.ndarray) -> FloatArray:
     bits = np.unpackbits(payload[:, first:last], axis=1, bitorder="little")[:, places - 8 * first]
     if signal.is_float:
         kind = {16: np.float16, 32: np.float32, 64: np.float64}[signal.length]
-        packed = np.ascontiguousarray(np.packbits(bits, axis=1, bitorder="little"))
-        return packed.view(kind).ravel().astype(np.float64)
+        return np.ascontiguousarray(np.packbits(bits, axis=1, bitorder="little")).view(kind).ravel().astype(np.float64)
     weights = 2.0 ** np.arange(signal.length)
     if signal.is_signed:
         weights[-1] *= -1

@@ -145,8 +145,7 @@ def good(table: RawTable, place: int, form: RecordForm) -> np.ndarray:
 
     Raises RecordingError: it cannot be told which of its values are good.
     """
-    column = table.columns[place]
-    words = [str(f).strip().lower().removesuffix(".0") for f in column]
+    words = [str(f).strip().lower().removesuffix(".0") for f in table.columns[place]]
     seen = set(words)
     if form.good:
         return np.array([word == form.good.strip().lower() for word in words])

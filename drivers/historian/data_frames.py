@@ -46,8 +46,7 @@ def table_of_frame(frame: object) -> RawTable:
             given = given.reset_index(names="t") if index.name is None else given.reset_index()
     names = list(getattr(given, "column_names", None) or given.columns)
     columns = [column_of(str(name), given[name]) for name in names]
-    size = len(columns[0]) if columns else 0
-    return RawTable("the frame", tuple(map(str, names)), tuple(columns), RowNumbers(size))
+    return RawTable("the frame", tuple(map(str, names)), tuple(columns), RowNumbers(len(columns[0]) if columns else 0))
 
 
 def column_of(name: str, series: object) -> Column:

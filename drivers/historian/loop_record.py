@@ -78,8 +78,7 @@ def read_loop_record(sources: Iterable[object], form: RecordForm = WHOLE, *, in_
     if not tables:
         raise RecordingError(EMPTY.format(_listed(str(one) for one in asked if isinstance(one, str | Path))))
     read = [signals_of(table, own, in_automatic=in_automatic) for table, own in _forms(tables, form)]
-    loop = _chosen(_together(read), form, tables)
-    return _record(loop, read, form)
+    return _record(_chosen(_together(read), form, tables), read, form)
 
 
 def read_records(sources: Iterable[object], form: RecordForm = WHOLE) -> list[LoopRecord]:
@@ -182,8 +181,7 @@ def _record(loop: _Loop, read: Sequence[TableSignals], form: RecordForm) -> Loop
     origin = 0.0 if _counted_from_zero(t_s) else float(t_s[0])
     recording = Recording(source, t_s - origin, values["pv"], values["co"], values.get("sp"))
     recording, more = scaled(recording, form.scale)
-    begin_s = None if _counted_from_zero(t_s) else float(t_s[0])
-    return LoopRecord(recording, assumed + more, loop.tag, begin_s, others)
+    return LoopRecord(recording, assumed + more, loop.tag, None if _counted_from_zero(t_s) else float(t_s[0]), others)
 
 
 def _other(name: str, values: Mapping[str, FloatArray], source: str) -> FloatArray:
@@ -333,8 +331,7 @@ def _chosen(loops: Mapping[str, Mapping[str, OneSignal]], form: RecordForm, tabl
         return _Loop(tag, trends)
     if whole:
         raise RecordingError(f"{source}: {len(whole)} loops in it; name one with --tag: {_listed(whole)}")
-    roles = {role for trends in loops.values() for role in trends}
-    missing = "co" if "pv" in roles else "pv"
+    missing = "co" if "pv" in {role for trends in loops.values() for role in trends} else "pv"
     raise RecordingError(f'{source}: no column "{missing}"; {_to_be_named(tables, missing)}')
 
 

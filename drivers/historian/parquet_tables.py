@@ -84,8 +84,7 @@ def tables_of_parquet(
         for batch in batches:
             if batch.num_rows:
                 columns = tuple(column_of(name, batch.column(name)) for name in names)
-                called = _called(path, names, form)
-                yield [RawTable(str(path), called, columns, RowNumbers(batch.num_rows, at))]
+                yield [RawTable(str(path), _called(path, names, form), columns, RowNumbers(batch.num_rows, at))]
             at += batch.num_rows
 
 

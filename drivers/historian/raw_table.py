@@ -133,8 +133,7 @@ def _encodings(data: bytes, form: RecordForm) -> list[tuple[str, tuple[Assumptio
     if form.encoding:
         return [(form.encoding, ())]
     known: list[tuple[str, tuple[Assumption, ...]]] = [("utf-8-sig", ())]
-    wide = data.startswith((b"\xff\xfe", b"\xfe\xff"))
-    if wide:
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         known.insert(0, ("utf-16", (Assumption("read as UTF-16", 'encoding = "utf-16"'),)))
     elif data[1:400:2].count(0) > 0.4 * len(data[1:400:2]) and data[:1] != b"\0":
         known.insert(0, ("utf-16-le", (Assumption("read as UTF-16", 'encoding = "utf-16-le"'),)))

@@ -47,8 +47,7 @@ def annotated_table(source: str, text: str) -> RawTable:
         raise RecordingError(f"{source}: has annotations but no values")
     names = _short(sorted({name for _, _, name, _ in rows}))
     columns = ([r[0] for r in rows], [r[1] for r in rows], [names[r[2]] for r in rows])
-    told = Assumption("annotated CSV of InfluxDB")
-    return RawTable(source, LONG, columns, [r[3] for r in rows], (told,))
+    return RawTable(source, LONG, columns, [r[3] for r in rows], (Assumption("annotated CSV of InfluxDB"),))
 
 
 def _values(source: str, block: Lines) -> list[tuple[str, str, str, str]]:

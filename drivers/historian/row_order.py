@@ -64,8 +64,7 @@ def _displaced(t_s: FloatArray) -> int:
     One step back may be a late row; it is a second record where many rows after it are early.
     """
     late = np.sum(t_s < np.maximum.accumulate(t_s))
-    early = np.sum(t_s > np.minimum.accumulate(t_s[::-1])[::-1])
-    return int(min(late, early))
+    return int(min(late, np.sum(t_s > np.minimum.accumulate(t_s[::-1])[::-1])))
 
 
 def _distinct(places: np.ndarray, stamps: FloatArray) -> tuple[np.ndarray, FloatArray, list[Assumption]]:

@@ -117,8 +117,7 @@ def _signal_places(
     table: RawTable, found: Mapping[str, Mapping[str, list[int]]], form: RecordForm
 ) -> dict[str, dict[str, int]]:
     """Columns of the signals by tag and role; what a person names belongs to every loop there is."""
-    own = {role for role in SIGNALS if role in form.columns}
-    if {"pv", "co"} <= own:
+    if {"pv", "co"} <= {role for role in SIGNALS if role in form.columns}:
         found = {"": found.get("", {})}
     places: dict[str, dict[str, int]] = {}
     for tag, roles in (found or {"": {}}).items():
@@ -169,8 +168,7 @@ def _by_file_name(
     free = [place for place in range(len(table.names)) if place not in used]
     if role not in SIGNALS or not free:
         return {}
-    values = found.get("", {}).get("value", free)
-    return {read.tag: {role: values[0]}}
+    return {read.tag: {role: found.get("", {}).get("value", free)[0]}}
 
 
 def _clock(
@@ -211,8 +209,7 @@ def _stamps(
     text = [] if isinstance(column, np.ndarray) else [field.strip() for field in column]
     if text and _written_out(text):
         apart = table.columns[date] if date is not None and "-" not in text[0] and text[0].count(":") else None
-        days = [str(d) for d in apart] if apart is not None else None
-        return from_text(text, days, form, table.source, begins)
+        return from_text(text, [str(d) for d in apart] if apart is not None else None, form, table.source, begins)
     return _counted(table, place, decimal, form)
 
 

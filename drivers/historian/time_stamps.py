@@ -81,8 +81,7 @@ def from_numbers(values: FloatArray, name: str, unit: str, form: RecordForm) -> 
         if low <= typical <= high:
             told = Assumption(f"time counted from 1970 in {known}", f'time_unit = "{known}"')
             return Stamps(values * TIME_UNITS[known], (told,))
-    finite = values[np.isfinite(values)]
-    apart = np.abs(np.diff(finite))
+    apart = np.abs(np.diff(values[np.isfinite(values)]))
     step = median(apart[apart > 0]) if np.any(apart > 0) else 1.0  # rounded stamps repeat
     origin = _days_at_1970(values)
     if origin and 0 < step < 1.0 / 24:

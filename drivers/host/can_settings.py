@@ -65,8 +65,7 @@ class CanDeviceSettings:
     @property
     def lease_length(self) -> int:
         """Length of the lease in samples."""
-        samples = max(self.lease_samples, self.lease_floor_s / self.sample_time_s, 1.0)
-        return min(math.ceil(samples), LEASE_SAMPLES_MAX)
+        return min(math.ceil(max(self.lease_samples, self.lease_floor_s / self.sample_time_s, 1.0)), LEASE_SAMPLES_MAX)
 
     @property
     def reply_s(self) -> float:

@@ -56,8 +56,7 @@ class BoilerSettings:
 
     def co_for(self, power: float) -> float:
         """The output in percent that gives a power."""
-        share = power / self.power_max_c
-        return 100.0 * math.log1p(share * (self.rangeability - 1.0)) / math.log(self.rangeability)
+        return 100.0 * math.log1p(power / self.power_max_c * (self.rangeability - 1.0)) / math.log(self.rangeability)
 
 
 def flow_of(load: float) -> float:
@@ -139,6 +138,5 @@ class BoilerPlant:
         """Gain P'(co)/w, lags of tank and sensor, delay of the pipe at this temperature and flow: see plant.Plant."""
         settings, flow = self.settings, flow_of(load)
         slope = math.log(settings.rangeability) / 100.0
-        bias = settings.power_max_c / ((settings.rangeability - 1.0) * flow)
-        gain = slope * (pv - settings.inlet_c + bias)
+        gain = slope * (pv - settings.inlet_c + settings.power_max_c / ((settings.rangeability - 1.0) * flow))
         return LinearProcess(gain, (settings.tank_s / flow, settings.tau_sensor_s), (), settings.pipe_s / flow)

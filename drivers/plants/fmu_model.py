@@ -68,8 +68,7 @@ class FmuModel:
     def step(self, inputs: Sequence[float], dt_s: float) -> Sequence[float]:
         """See model.PlantModel."""
         self._write(inputs)
-        longest = min(self._spec.step_s or dt_s, dt_s)
-        count = max(math.ceil(dt_s / longest - LEAST_SHARE), 1)
+        count = max(math.ceil(dt_s / min(self._spec.step_s or dt_s, dt_s) - LEAST_SHARE), 1)
         for _ in range(count):
             until = self._t_s + dt_s / count
             if self._exchange is not None:
@@ -130,8 +129,7 @@ class FmuModel:
 
     def _write(self, inputs: Sequence[float]) -> None:
         for place, value in zip(self._inputs, inputs, strict=True):
-            setter = getattr(self._unit, f"set{place.type}")
-            setter([place.valueReference], [value])
+            getattr(self._unit, f"set{place.type}")([place.valueReference], [value])
 
     def _read(self) -> list[float]:
         return [float(getattr(self._unit, f"get{one.type}")([one.valueReference])[0]) for one in self._outputs]
@@ -181,8 +179,7 @@ class _Exchange:
         self._solver.reset(t_s)
         rounding = LEAST_SHARE * (until_s - t_s)
         while until_s - t_s > rounding:
-            goal = min(until_s, max(self._next_event_s, t_s + rounding))
-            state_event, _, t_s = self._solver.step(t_s, goal)
+            state_event, _, t_s = self._solver.step(t_s, min(until_s, max(self._next_event_s, t_s + rounding)))
             self._unit.setTime(t_s)
             step_event, over = self._unit.completedIntegratorStep() if self._completes else (False, False)
             if over:

@@ -64,8 +64,7 @@ class LinearPlant:
 
     def steady_co(self, pv: float, load: float = 0.0) -> float:
         """Output in percent that holds pv: see plant.Plant."""
-        moved = 0.0 if self.process.integrators else (pv - self._pv0) / self.process.k
-        co = self._co0 + moved - load
+        co = self._co0 + (0.0 if self.process.integrators else (pv - self._pv0) / self.process.k) - load
         low, high = self._limits
         if not low <= co <= high:
             raise ValueError(f"pv = {pv} needs co = {co:.3g} %; the actuator gives {low} to {high} %")

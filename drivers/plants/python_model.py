@@ -137,7 +137,6 @@ def _takes(made: object, parameters: Mapping[str, object]) -> bool:
             if name not in known:
                 raise PlantFaultError(missing_name("parameter", name, known), "parameters", name)
         for name, one in known.items():
-            given = name in parameters or one.default is not one.empty or one.kind is one.VAR_POSITIONAL
-            if not given:
+            if name not in parameters and one.default is one.empty and one.kind is not one.VAR_POSITIONAL:
                 raise PlantFaultError(f"{name} is missing, and the class needs it", "parameters")
     return True

@@ -38,5 +38,4 @@ def require_distinct(uses: Iterable[Use], source: str) -> None:
         if one.what == other.what or not one.meets(other):
             continue
         same = f"{one.text} is both" if one.text == other.text else f"{one.text} and {other.text} share bits; they are"
-        told = f"{source}: {same} {one.role} and {other.role}; give each a place of its own"
-        raise ProfileError(told, other.key)
+        raise ProfileError(f"{source}: {same} {one.role} and {other.role}; give each a place of its own", other.key)

@@ -166,8 +166,7 @@ class ForeignDevice:
         self.fits: Callable[[PidGains], bool] = anything
         self.running: RunningSet | None = None
         self._access = access
-        asked = "pv" in access.on_request
-        self._grid = SampleGrid(settings.sample_time_s, asked=asked, after_s=settings.after_s)
+        self._grid = SampleGrid(settings.sample_time_s, asked="pv" in access.on_request, after_s=settings.after_s)
         inputs = ScheduleInputs.of(settings.variable)
         self._inputs, self._tap = inputs, SignalTap(inputs.signals)
         self._contact = Contact(settings.silent_s, settings.connect_s)
@@ -370,8 +369,7 @@ class ForeignDevice:
 
     def _hears(self, now_s: float) -> bool:
         """Whether the controller is heard just now, its gains known or not."""
-        heard = now_s - self._contact.heard_s <= self.settings.silent_s
-        return heard and self.link.state is not LinkState.DOWN
+        return now_s - self._contact.heard_s <= self.settings.silent_s and self.link.state is not LinkState.DOWN
 
     def _require_fitting(self, gains: PidGains) -> None:
         """Refuse, at the first connection, a controller that runs what nobody knows of and nobody could write over."""
@@ -406,8 +404,7 @@ class ForeignDevice:
                 )
             return
         if reason:
-            state = LinkState.DOWN if self.link.state is LinkState.DOWN else LinkState.SILENT
-            self._lose(state, reason)
+            self._lose(LinkState.DOWN if self.link.state is LinkState.DOWN else LinkState.SILENT, reason)
 
     def _lose(self, state: LinkState, reason: str) -> None:
         self._up, self.running = False, None
@@ -429,8 +426,7 @@ class ForeignDevice:
             access.ask(access.on_request)
         if not access.reads_back or self._course.busy or now_s < self._ask_s:
             return
-        pause = self.settings.look_s if self.running is not None else self.settings.reply_s
-        self._ask_s = now_s + pause
+        self._ask_s = now_s + (self.settings.look_s if self.running is not None else self.settings.reply_s)
         self._read.clear()
         access.ask(access.units.names)
 
@@ -445,8 +441,7 @@ class ForeignDevice:
 
     def _write_on(self, now_s: float) -> None:
         """What the write under way wants to send; after a silence it asks what runs, and only then is it connected."""
-        there = self._up or (self._access.reads_back and self._hears(now_s))
-        sending = self._course.due(now_s) if there else None
+        sending = self._course.due(now_s) if self._up or (self._access.reads_back and self._hears(now_s)) else None
         if sending is not None:
             if sending.write:
                 self._access.put(sending.write)
@@ -493,8 +488,7 @@ class ForeignDevice:
         except (ValueError, WriteRefusedError) as error:
             raise WriteRefusedError(f"{self.settings.where}: {error}") from None
         changed = {gain.message for gain in units.gains if old[gain.quantity] != new[gain.quantity]}
-        steps = [units.of_message(message, new) for message in order or sorted(changed)]
-        self._course.begin(steps, old, new)
+        self._course.begin([units.of_message(message, new) for message in order or sorted(changed)], old, new)
         self._write_on(now_s)
         self._send_due(now_s)
         return self._seq

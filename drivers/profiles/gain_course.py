@@ -160,8 +160,7 @@ class GainCourse:
             self._sent()
             return
         self.reason = self.reason or "no answer"
-        left = self._tries < TRIES.get(phase, self._tries + 1)
-        self._move(CourseInput.AGAIN if left else CourseInput.EXHAUSTED)
+        self._move(CourseInput.AGAIN if self._tries < TRIES.get(phase, self._tries + 1) else CourseInput.EXHAUSTED)
 
     def _sent(self) -> None:
         """Without read-back: sent once more; the last time it is believed."""

@@ -223,8 +223,7 @@ def _alone(slot: int, piece: _Piece, place: int) -> _Alone:
 def _odd(slot: int, start: int, signal: Signal, place: int) -> _Odd:
     """What is known beforehand of a signal in the group that begins with byte `start`."""
     sign = 1 << signal.length - 1 if signal.is_signed else 0
-    mask = (1 << signal.length) - 1
-    return _Odd(slot, signal.start - 8 * start, mask, sign, signal.scale, signal.offset, place)
+    return _Odd(slot, signal.start - 8 * start, (1 << signal.length) - 1, sign, signal.scale, signal.offset, place)
 
 
 # A DBC text to a database, every way to fail told in one line.

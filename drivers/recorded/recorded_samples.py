@@ -112,8 +112,7 @@ def _samples(
         for name, variable in (("x", inputs.variable), ("x2", inputs.variable2))
     )
     mode = table.get("mode", np.full(len(t), float(LoopMode.AUTO)))
-    beyond = np.where(co >= facts.co_max, 1.0, np.where(co <= facts.co_min, -1.0, 0.0))
-    limited = table.get("limited", beyond)
+    limited = table.get("limited", np.where(co >= facts.co_max, 1.0, np.where(co <= facts.co_min, -1.0, 0.0)))
     known = all(name in table for name in GAINS)
     rows = np.column_stack((t, sp, pv, co, mode, limited, x, x2)).tolist()
     for i, (t_s, sp_i, pv_i, co_i, mode_i, limited_i, x_i, x2_i) in enumerate(rows):

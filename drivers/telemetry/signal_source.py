@@ -135,8 +135,7 @@ def plant_message(node: int, aux: float) -> "can.Message":
     import can  # noqa: PLC0415  see above
 
     layout = find_signal("", "PLANT", "aux", 1.0).layout
-    data = layout.encode({"aux": aux})
-    return can.Message(arbitration_id=layout.frame_id + node - 1, is_extended_id=True, data=data)
+    return can.Message(arbitration_id=layout.frame_id + node - 1, is_extended_id=True, data=layout.encode({"aux": aux}))
 
 
 # ---- Scheduling variables that are other signals on the bus: the last value of each, and how old it is.
@@ -204,8 +203,7 @@ class _Latest:
             self._heard_s, self._came = t_s, False
         if self._since_s is None:
             self._since_s = t_s
-        last_s = self._since_s if self._heard_s is None else self._heard_s
-        fresh = t_s - last_s <= self._source.stale_after_s
+        fresh = t_s - (self._since_s if self._heard_s is None else self._heard_s) <= self._source.stale_after_s
         if fresh != self._known:
             self._known = fresh
             self._news.append(self._change())

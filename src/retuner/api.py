@@ -239,10 +239,11 @@ def identify_record(
         return _followed(window, identify_manual(window, gains.direction if gains else None), gains, open_loop)
     days = days_of(window)
     sign = _sign_of(max(days, key=_length), gains, co_min, co_max)
-    if len(days) > 1:
-        record = RegionRecord(-math.inf, math.inf, tuple(days))
-        if (told := identify_region(record, sign, FitSettings())) is not None:
-            return _followed(max(days, key=_length), told, gains, open_loop)
+    told = (
+        identify_region(RegionRecord(-math.inf, math.inf, tuple(days)), sign, FitSettings()) if len(days) > 1 else None
+    )
+    if told is not None:
+        return _followed(max(days, key=_length), told, gains, open_loop)
     found = _followed(window, identify_window(window, sign), gains, open_loop)
     joint = None if found.identifiable else identify_parts(window, sign)
     return found if joint is None else _followed(window, joint, gains, open_loop, by_parts=True)
@@ -361,8 +362,7 @@ def _no_farther(found: Identification, window: Window, gains: PidGains) -> Ident
     """What was identified, with no more gain at once than the record's events carry."""
     estimate, dt = found.estimate, window.sample_time_s
     events = len(setpoint_changes(window)) + len(estimate.load_times_s)
-    aim = robust_simc(estimate, dt, RobustSettings(), gains)
-    step = first_step(aim, gains, events, estimate.log.model(), dt)
+    step = first_step(robust_simc(estimate, dt, RobustSettings(), gains), gains, events, estimate.log.model(), dt)
     if step is None:
         return found
     return replace(found, settings=followed_settings(estimate, step.now), aim=found.settings, step_reason=step.sentence)

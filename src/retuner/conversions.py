@@ -62,8 +62,7 @@ def process_of(system: System, theta_s: float = 0.0) -> LinearProcess:
         sizes = np.abs(np.concatenate([zeros, poles]))
         sizes = sizes[sizes > 0]
         s = WHERE * float(np.exp(np.mean(np.log(sizes)))) if sizes.size else 1.0
-        value = complex(np.squeeze(system(s)))
-        gain = value * np.prod(s - poles) / np.prod(s - zeros)
+        gain = complex(np.squeeze(system(s))) * np.prod(s - poles) / np.prod(s - zeros)
         return from_roots(zeros, poles, float(np.real(gain)), theta_s)
     raise TypeError(f"{type(system).__name__} is neither a scipy.signal nor a python-control system")
 
@@ -157,8 +156,7 @@ def gains_of(system: System) -> PidGains:
     TypeError
         It is neither package's.
     """
-    package = type(system).__module__.split(".")[0]
-    if package not in {"scipy", "control"}:
+    if type(system).__module__.split(".")[0] not in {"scipy", "control"}:
         raise TypeError(f"{type(system).__name__} is neither a scipy.signal nor a python-control system")
     num, den = (np.atleast_1d(np.squeeze(np.asarray(x, dtype=np.float64))) for x in (system.num, system.den))
     num, den = np.trim_zeros(num, "f"), np.trim_zeros(den, "f")

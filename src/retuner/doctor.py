@@ -218,8 +218,7 @@ def _listened(name: str) -> MachineFinding:
     from retuner.drivers.bus.bus_opening import SOCKETCAN, open_bus  # noqa: PLC0415
     from retuner.drivers.device import DeviceError  # noqa: PLC0415
 
-    up = int((NETWORK / name / "flags").read_text("ascii"), 16) & 1
-    if not up:
+    if not (int((NETWORK / name / "flags").read_text("ascii"), 16) & 1):
         return MachineFinding(f"SocketCAN {name}", Level.OPTIONAL, "is down", f"ip link set {name} up")
     try:
         open_bus(SOCKETCAN, name, 0, {}).shutdown()

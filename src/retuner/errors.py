@@ -16,8 +16,7 @@ ESCAPES = str.maketrans({"\n": "\\n", "\r": "\\r", "\t": "\\t"})
 
 def one_line(text: object) -> str:
     """The text on one line: line ends and other unprintable characters (terminal escapes too) written as escapes."""
-    plain = str(text).translate(ESCAPES)
-    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in plain)
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in str(text).translate(ESCAPES))
 
 
 class UserError(Exception):

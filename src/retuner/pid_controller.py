@@ -157,8 +157,7 @@ class PidController(display_hook.Drawn, Closes):
         """
         if form not in ("ideal", "series"):
             raise ValueError(f"form = {form!r} is unknown; use ideal, series")
-        make = PidGains.from_ideal if form == "ideal" else PidGains.from_series
-        return cls(make(kc, tau_i_s, tau_d_s), **options)
+        return cls((PidGains.from_ideal if form == "ideal" else PidGains.from_series)(kc, tau_i_s, tau_d_s), **options)
 
     def step(
         self,
@@ -347,8 +346,7 @@ class PidController(display_hook.Drawn, Closes):
     ) -> _Place:
         """Where the loop stands after this sample; nothing is changed here but the law in force."""
         # The values of the scheduling variables
-        co = self._law.co_min if self._place is None else self._place.pid[3]
-        known = {"sp": sp, "pv": pv, "co": co}
+        known = {"sp": sp, "pv": pv, "co": self._law.co_min if self._place is None else self._place.pid[3]}
         found = [0.0, 0.0]
         for i, axis in enumerate(self._retuner.table.regions.axes):
             given = x[i]
@@ -383,8 +381,7 @@ class PidController(display_hook.Drawn, Closes):
         if last is not None and not all(map(math.isfinite, at)):
             return now
         gains = table.at(region.region, *at)
-        same = (gains.kp, gains.ki, gains.kd) == (now.kp, now.ki, now.kd)
-        return now if same else now.with_gains(gains)
+        return now if (gains.kp, gains.ki, gains.kd) == (now.kp, now.ki, now.kd) else now.with_gains(gains)
 
     def _obey(self, decision: Decision) -> Decision:
         """Do what a decision asks for: the next step works with what the table has then."""
@@ -461,5 +458,4 @@ def _begin(law_now: PidLaw, sp: float, pv: float) -> PidState:
     wish = law_now.kp * (law_now.b * sp - pv)
     if not math.isfinite(wish):
         raise ValueError(f"sp = {sp}, pv = {pv}: give finite numbers")
-    co = min(max(wish, law_now.co_min), law_now.co_max)
-    return PidState(0.0, pv, 0.0, co, 0)
+    return PidState(0.0, pv, 0.0, min(max(wish, law_now.co_min), law_now.co_max), 0)

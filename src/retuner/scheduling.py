@@ -124,8 +124,7 @@ class ScheduleDesign(display_hook.Shown):
     def model_at(self, x: float, x2: float | None = None) -> ProcessModel:
         """The process at x, and x2 of a second variable; outside the records' range as at its end."""
         curves = self.design.curves
-        beside = None if x2 is None else np.array([x2])
-        return model_of(curves.ln(np.array([x]), beside)[0], curves.form.sign)
+        return model_of(curves.ln(np.array([x]), None if x2 is None else np.array([x2]))[0], curves.form.sign)
 
     def gains_at(self, x: float, x2: float | None = None) -> PidGains:
         """The gains that the table has in force at x, and x2 of a second variable, when it rests there.
@@ -193,16 +192,14 @@ class ScheduleDesign(display_hook.Shown):
 
     def _place_dict(self, place: Place) -> dict[str, object]:
         now = None if self.table is None else place.judged(self.gains_at(place.x, place.x2))
-        names = ("slope", "theta", "tau", "tau2")
         told: dict[str, object] = {
             **plain_values(place, "x" if place.x2 is None else "x x2"),
             **plain_values(place, "known model"),
-            "ln_std": dict(zip(names, place.ln_std, strict=False)),
+            "ln_std": dict(zip(("slope", "theta", "tau", "tau2"), place.ln_std, strict=False)),
             **plain_values(place, "own"),
         }
         if now is not None:
-            gains = self.gains_at(place.x, place.x2)
-            told |= {"gains": plain_value(gains), **plain_values(now, "ms ms_worst j")}
+            told |= {"gains": plain_value(self.gains_at(place.x, place.x2)), **plain_values(now, "ms ms_worst j")}
         return told
 
 

@@ -52,8 +52,7 @@ def _hush(wanted: bool) -> None:
 
 def _tell_more(count: int) -> None:
     if count:
-        logger = LOGGER if count == 1 else logging.getLogger()
-        logger.addHandler(_ErrorStream())
+        (LOGGER if count == 1 else logging.getLogger()).addHandler(_ErrorStream())
         LOGGER.setLevel(logging.INFO if count == 1 else logging.DEBUG)
         LOGGER.propagate = count > 1
 

@@ -196,8 +196,7 @@ class _LoopRecords:
             told = found.diagnosis
             begin_s, end_s = float(stretch.t_s[0]) + later_s, float(stretch.t_s[-1]) + later_s
             seen = StretchVerdict(begin_s, end_s, told.cause, told.confidence, told.reason)
-            file = Path(record.recording.source).name
-            shown = {"file": file, **_stretch(stretch, seen, found)}
+            shown = {"file": Path(record.recording.source).name, **_stretch(stretch, seen, found)}
             self.parts.append(Part(seen, shown, found, _own_copy(stretch)))
         if settings.stretches and known:
             self.spread += [_own_copy(part) for part in spread_over(max(worked, key=lambda day: len(day.t_s)))]
@@ -327,10 +326,9 @@ def _process(cure: RecordDiagnosis | None, then: Foreseen | None) -> Row | None:
 
 
 def _stretch(window: Window, verdict: StretchVerdict, found: RecordDiagnosis) -> Row:
-    evidence = {k: v for k, v in found.diagnosis.evidence.items() if math.isfinite(v)}
     return {
         **plain_values(verdict, "begin_s end_s cause confidence reason"),
-        "evidence": evidence,
+        "evidence": {k: v for k, v in found.diagnosis.evidence.items() if math.isfinite(v)},
         "trend": drawn(window, DRAWN_OF_A_STRETCH),
     }
 
@@ -342,8 +340,7 @@ def drawn(window: Window, points: int) -> Trend:
 
 def smaller(trend: Trend, points: int) -> Trend:
     """A trend that was drawn already, with fewer points."""
-    signals = {name: np.array(trend[name]) for name in ("sp", "pv", "co")}
-    return _thinned(np.array(trend["t_s"]), signals, points)
+    return _thinned(np.array(trend["t_s"]), {name: np.array(trend[name]) for name in ("sp", "pv", "co")}, points)
 
 
 def _thinned(t_s: FloatArray, signals: Mapping[str, FloatArray], points: int) -> Trend:

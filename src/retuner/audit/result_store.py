@@ -23,8 +23,7 @@ NAME = "audit.sqlite"
 def signature(task: Task, settings: AuditSettings) -> str:
     """What a row of this task hangs on."""
     files = [(str(path), path.stat().st_size, path.stat().st_mtime_ns) for path in task.files]
-    said = json.dumps([files, repr(settings), SCHEMA, version("retuner")])
-    return hashlib.sha256(said.encode()).hexdigest()
+    return hashlib.sha256(json.dumps([files, repr(settings), SCHEMA, version("retuner")]).encode()).hexdigest()
 
 
 class ResultStore:

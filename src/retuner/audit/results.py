@@ -70,11 +70,10 @@ class PlantCourse:
         Keys: area, days (length of the part), begin, loops, and means over them: in_automatic, at_limits, oscillating
         (shares), reversals_per_day, travel (over each loop's own mean).
         """
-        places = sorted(self._found, key=lambda at: (at[0] != WHOLE, at))
         return [
             {"area": area, "days": days, "begin": begin, "loops": len(told)}
             | {name: float(f"{sum(one[name] for one in told) / len(told):.4g}") for name in (*MEANS, "travel")}
-            for area, days, begin in places
+            for area, days, begin in sorted(self._found, key=lambda at: (at[0] != WHOLE, at))
             if (told := self._found[area, days, begin])
         ]
 
@@ -151,8 +150,7 @@ def _tracks(row: Row) -> tuple[Swinging | None, TrendTrack | None]:
         return None, trend
     own = row["cause"] in {str(c) for c in TUNING_CAUSES}
     track = SwingTrack.of_dict(tracks["swing"]) if tracks.get("swing") else None
-    sticks = _number(row, "sticks")
-    swing = Swinging(str(row["tag"]), screen["period_s"], _number(row, "harmonic"), sticks, own, track)
+    swing = Swinging(str(row["tag"]), screen["period_s"], _number(row, "harmonic"), _number(row, "sticks"), own, track)
     return swing, trend
 
 
@@ -198,8 +196,7 @@ def _in_order(rows: Sequence[Row]) -> None:
     """The slave of a cascade comes before its master; of loops that swing against each other one is slowed down."""
     by_tag = {str(row["tag"]): row for row in rows}
     for row in rows:
-        slaves = row["slaves"] if isinstance(row["slaves"], list) else []
-        sick = [tag for tag in slaves if is_fault(by_tag[tag])]
+        sick = [tag for tag in (row["slaves"] if isinstance(row["slaves"], list) else []) if is_fault(by_tag[tag])]
         if sick and is_fault(row):
             row["action"] = f"its slave {sick[0]} first, then {row['action']}"
             row["rank"] = 0.5 * _number(row, "rank")
@@ -284,8 +281,7 @@ def summary(rows: Sequence[Row], refused: int) -> str:
 
 def _kind_of_visit(row: Row) -> str:
     """What is to be done, without the names of other loops."""
-    own = str(row["tag"])
-    if row.get("root") not in {None, own}:
+    if row.get("root") not in {None, str(row["tag"])}:
         return "wait for another loop"
     return "retune against each other" if row.get("interaction") else str(row["action"]).split(" first, then ")[-1]
 
@@ -319,10 +315,9 @@ def write_results(
     """
     course = PlantCourse(area)
     listed, groups = ranked(_with_pictures(folder, rows, course), before)
-    told = summary(listed, len(refused))
     document = {
         "schema": SCHEMA,
-        "summary": told,
+        "summary": summary(listed, len(refused)),
         "about": about(listed, sources),
         "rows": listed,
         "groups": [asdict(group) for group in groups],

@@ -59,8 +59,7 @@ def _until_broken(left: list[Task], do: Work, jobs: int) -> Generator[tuple[Task
                     task = left.pop()
                     running[pool.submit(do, task)] = task
                 for future in wait(running, return_when=FIRST_COMPLETED).done:
-                    rows = future.result()
-                    yield running.pop(future), rows
+                    yield running.pop(future), future.result()
         except BrokenProcessPool:
             return list(running.values())
         except BaseException:
@@ -142,8 +141,7 @@ def screening(tasks: Sequence[Task], settings: AuditSettings, done: Mapping[str,
     tasks : of all loops. settings : of the audit. done : signatures of the rows that are there, by tag. share : of the
     loops that are diagnosed, 0 to 1.
     """
-    whole = share >= 1 or settings.stretches == 0
-    own = settings if whole else replace(settings, stretches=0)
+    own = settings if share >= 1 or settings.stretches == 0 else replace(settings, stretches=0)
     signed = {task: signature(task, own) for task in tasks}
     known = {task: {signed[task], signature(task, settings)} for task in tasks}
     left = tuple(task for task in tasks if any(done.get(tag) not in known[task] for tag in task.tags))

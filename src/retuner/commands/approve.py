@@ -168,8 +168,7 @@ def _take_up(place: LoopPlace, full: str, options: ApproveOptions) -> int:
     why = f": {options.note}" if options.note else ""
     note = one_line(f"proposal {full[:SHORTEST]} of {place.session}, approved by {_name(options)} on {today}{why}")
     # What a session ran is its record: a replay reads it
-    folder = into.resolve().parent
-    if (folder / LEDGER).exists():
+    if (into.resolve().parent / LEDGER).exists():
         raise UserError(f"--into {into}: belongs to the session recorded there; name the configuration of the next run")
     written = schedule_into(into, table, place.config, note, _gains_at_end(place))
     write_whole(into, written.text)
@@ -215,13 +214,12 @@ def revert(options: RevertOptions) -> int:
     if change is None:
         most = max(place.shown.changes, default=0)
         raise UserError(f"--decision {decision}: the ledger has no such decision; there are {most or 'none'}")
-    file = place.put(OrderKind.REVERT, options, decision=decision)
     document = {
         "session": str(place.session),
         "decision": decision,
         "region": change.region,
         "gains": gains_dict(change.before),
-        "file": str(file),
+        "file": str(place.put(OrderKind.REVERT, options, decision=decision)),
     }
     back = f"{change.region} back to {settings_text(change.before)}, as before decision {decision}"
     tell(document, [f"{back}: {place.who_acts()}"], as_json=options.as_json)

@@ -265,8 +265,7 @@ def valve(options: ValveOptions) -> int:
     with user_input(str(options.file)):
         found = read_valve_test(read.recording.window())
     tell(found.to_dict(), valve_described(found), as_json=options.as_json)
-    decided = max(found.sound, found.dead_band_odds, found.resolution_odds) >= LIKELY
-    return 0 if decided else 1
+    return 0 if max(found.sound, found.dead_band_odds, found.resolution_odds) >= LIKELY else 1
 
 
 def _valve_step(options: ValveOptions) -> float:

@@ -108,8 +108,7 @@ def asked(file: Path) -> str:
     sample_s = _ask("Sampling interval of the controller, s", 1.0, _number(1e-4, 3600.0))
     kc = _ask(f"Gain Kc now, % of output per {unit} (negative: direct acting)", 1.0, _gain)
     tau_i = _ask("Integral time tau_I now, s (0: none)", 100.0, _number(0.0))
-    tau_d = _ask("Derivative time tau_D now, s", 0.0, _number(0.0))
-    gains = from_form(Form.SERIES, kc, tau_i or None, tau_d)
+    gains = from_form(Form.SERIES, kc, tau_i or None, _ask("Derivative time tau_D now, s", 0.0, _number(0.0)))
     return _composed(
         StarterAnswers(name, unit, low, high, sample_s, gains, interface, channel, node), "by your answers"
     )

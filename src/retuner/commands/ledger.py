@@ -265,5 +265,4 @@ def _csv(rows: list[Row]) -> str:
 
 
 def _json_line(row: Row) -> str:
-    document = plain_values(row, "seq clock_s kind body previous hash")
-    return json.dumps(document, allow_nan=False) + "\n"
+    return json.dumps(plain_values(row, "seq clock_s kind body previous hash"), allow_nan=False) + "\n"

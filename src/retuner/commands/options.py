@@ -138,8 +138,7 @@ def command(app: typer.Typer, options: type[Any], work: str, epilog: str) -> Non
     def called(given: object) -> int:
         return int(getattr(import_module(f"retuner.commands.{module}"), name)(given))
 
-    first = " ".join(str(options.__doc__).partition("\n\n")[0].split())
-    app.command(name, short_help=first, epilog=epilog)(called)
+    app.command(name, short_help=" ".join(str(options.__doc__).partition("\n\n")[0].split()), epilog=epilog)(called)
 
 
 def check_plot(path: Path | None) -> None:
@@ -155,8 +154,7 @@ def tell(document: Mapping[str, object], lines: Iterable[str], *, as_json: bool)
 
 def on_bus(config: "Config", interface: str | None, channel: str | None) -> "Config":
     """The configuration with the bus that the command line names."""
-    named = {"interface": interface, "channel": channel}
-    changes = {name: value for name, value in named.items() if value is not None}
+    changes = {name: value for name, value in {"interface": interface, "channel": channel}.items() if value is not None}
     return config.model_copy(update={"bus": config.bus.model_copy(update=changes)}) if changes else config
 
 

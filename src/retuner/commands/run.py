@@ -123,11 +123,10 @@ def _limits_passed(config: Config) -> Iterator[Warned]:
     limits = guard_settings(config)
     for name, gains in zip(config.regions().names, config.gains(), strict=True):
         tau_i_s = gains.kp / gains.ki if gains.ki else None
-        tau_d_s = gains.kd / gains.kp if gains.kp else 0.0
         for what, value, least, most in (
             ("kc", abs(gains.kp), limits.kc_min, limits.kc_max),
             ("tau_i", tau_i_s, limits.tau_i_min_s, limits.tau_i_max_s),
-            ("tau_d", tau_d_s, 0.0, limits.tau_d_max_s),
+            ("tau_d", gains.kd / gains.kp if gains.kp else 0.0, 0.0, limits.tau_d_max_s),
         ):
             if value is None or least <= value <= most:
                 continue
@@ -299,8 +298,7 @@ def _carried_out(job: RunJob, job_run: Run, ledger: Ledger, watching: "Watching"
         except LedgerError as error:
             session.freeze(str(error))
         interrupted |= compare and fixed is None
-        left = product("what a run leaves")
-        left.leave(job, ledger, session, fixed, proposed, screen, interrupted=interrupted)
+        product("what a run leaves").leave(job, ledger, session, fixed, proposed, screen, interrupted=interrupted)
     if wrong := [*_wrong(job, session), *job_run.stopped_plants, *filter(None, [job_run.ended_by])]:
         raise UserError(*wrong)
     return 130 if interrupted else 0

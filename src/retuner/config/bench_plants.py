@@ -332,8 +332,7 @@ def _names(plants: Sequence[ModelConfig]) -> tuple[list[str], list[str], list[fl
             return [], [], [value]
         start[plant.input] = value
         outputs |= dict.fromkeys(filter(None, (plant.output, plant.aux)))
-    loads = {plant.load_input: 0.0 for plant in plants if plant.load_input}
-    start = {**loads, **start}
+    start = {**{plant.load_input: 0.0 for plant in plants if plant.load_input}, **start}
     return [*start], [*outputs], [*start.values()]
 
 

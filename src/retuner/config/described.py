@@ -122,8 +122,7 @@ def eds_file(config: Config, foreign: CanOpenDeviceConfig) -> "EdsFile":
 def dbc_file(config: Config, foreign: DbcDeviceConfig) -> DbcFile:
     """The device's DBC, moved to its node."""
     path = described_by(foreign.dbc)
-    node = config.node
-    return DbcFile(read_dbc_file(path), path.name, node, foreign.described_node, foreign.node_shift)
+    return DbcFile(read_dbc_file(path), path.name, config.node, foreign.described_node, foreign.node_shift)
 
 
 def foreign_settings(
@@ -131,7 +130,6 @@ def foreign_settings(
 ) -> ForeignSettings:
     """How to treat a foreign device. inputs : of the schedule. speed, after_s : as make_device."""
     sample = config.loop.sample_time_s
-    floor_s = SILENT_FLOOR_S * speed
     return ForeignSettings(
         gains=config.gains()[0],
         where=f"node {config.node} on {config.bus.interface} {config.bus.channel}",
@@ -141,7 +139,7 @@ def foreign_settings(
         co_max=config.loop.co_max_pct,
         sp_start=foreign.sp_start,
         reply_s=max(REPLY_SAMPLES * sample, REPLY_FLOOR_S * speed),
-        silent_s=max(foreign.silent_s or 0.0, SILENT_SAMPLES * sample, floor_s),
+        silent_s=max(foreign.silent_s or 0.0, SILENT_SAMPLES * sample, SILENT_FLOOR_S * speed),
         connect_s=max(CONNECT_SAMPLES * sample, CONNECT_FLOOR_S * speed),
         feed_s=foreign.feed_s * speed or NEVER_S,
         look_s=foreign.look_s,
@@ -161,8 +159,7 @@ def host_side(
     """
     foreign = config.foreign_device
     assert foreign is not None
-    access = make_access(config, foreign)
-    return ForeignDevice(link, access, foreign_settings(config, foreign, inputs, speed, after_s))
+    return ForeignDevice(link, make_access(config, foreign), foreign_settings(config, foreign, inputs, speed, after_s))
 
 
 def far_side(config: Config, settings: VirtualDeviceSettings, plant: Plant) -> BusDevice:

@@ -113,8 +113,7 @@ class _GainSection(Section):
 
     def factor(self, quantity: Quantity, general: float) -> float:
         """Ours for one of the controller's."""
-        ours = general if quantity in {Quantity.KP, Quantity.KI, Quantity.KD} else 1.0
-        return self.scale * ours * UNITS[self.unit]
+        return self.scale * (general if quantity in {Quantity.KP, Quantity.KI, Quantity.KD} else 1.0) * UNITS[self.unit]
 
 
 class SignalGainConfig(_GainSection):
@@ -359,8 +358,7 @@ def _without_rivals(ready: Mapping[str, Any], gains: object) -> dict[str, Any]:
     own = set(gains) if isinstance(gains, Mapping) else set[str]()
     rivals = {name for quantities in ACTIONS.values() if own & {*quantities} for name in quantities} - own
     lacking = {str(name) for name in _with_lacking(gains).get("without", ())} if isinstance(gains, Mapping) else set()
-    kept = {name: value for name, value in ready["gains"].items() if name not in rivals | lacking}
-    return {**ready, "gains": kept}
+    return {**ready, "gains": {name: value for name, value in ready["gains"].items() if name not in rivals | lacking}}
 
 
 def _with_lacking(gains: Mapping[str, Any]) -> dict[str, Any]:

@@ -130,8 +130,7 @@ def _meaning(path: Path, document: Mapping[str, object]) -> str:
     field = _field(path, document)
     if field is None:
         return ""
-    extra = field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
-    unit = extra.get("unit")
+    unit = (field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}).get("unit")
     return f"{MEANING}{field.description}" + (f", in {unit})" if unit not in {None, "-", "1"} else ")")
 
 

@@ -238,8 +238,7 @@ class ScheduleConfig(Section):
         """The axes, one or two, however they were written."""
         if self.axis:
             return self.axis
-        keys = {key: getattr(self, key) for key in SIMPLE}
-        return (AxisConfig.model_construct(None, **keys),)
+        return (AxisConfig.model_construct(None, **{key: getattr(self, key) for key in SIMPLE}),)
 
     def axis_path(self, i: int) -> Path:
         """Where the keys of an axis stand in this section."""

@@ -124,8 +124,7 @@ def _of_one(shared: Mapping[str, object], table: object) -> dict[str, object]:
     if not isinstance(table, Mapping):
         return {**shared, "loop": table}
     own = {name: table[name] for name in SECTIONS if name in table}
-    keys = {name: value for name, value in table.items() if name not in own}
-    return {**_joined(shared, own), "loop": keys}
+    return {**_joined(shared, own), "loop": {name: value for name, value in table.items() if name not in own}}
 
 
 def _joined(shared: Mapping[str, object], own: Mapping[str, object]) -> dict[str, object]:

@@ -249,8 +249,7 @@ def _by_eye(view: DecisionView) -> list[str]:
     if not period_s or damping is None or damping < SWINGS or period_s < 0:
         return []
     integrating = view.model is not None and view.model.linear().integrators > 0
-    cause = words(part(view.document, "diagnosis"), "cause")
-    tuning = cause in {*TUNING_CAUSES, Cause.UNKNOWN}
+    tuning = words(part(view.document, "diagnosis"), "cause") in {*TUNING_CAUSES, Cause.UNKNOWN}
     return oscillation_by_eye(period_s, view.before, integrating=integrating, tuning=tuning)
 
 
@@ -274,8 +273,7 @@ def _proposal(view: DecisionView) -> Sequence[Block]:
     lead += f", {basis}." if lead and basis else "." if lead else ""
     settled = _settings_rows([gains for _, gains in shown], units_of(words(view.document, "loop")))
     rows = [row for row in settled if any(cell not in {"-", "0"} for cell in row[1:])]
-    formula = _formula(view, wanted) if wanted else ()
-    return Text(lead), *formula, Table(("", *(name for name, _ in shown)), rows)
+    return Text(lead), *(_formula(view, wanted) if wanted else ()), Table(("", *(name for name, _ in shown)), rows)
 
 
 def _settings_rows(sets: Sequence[PidGains], units: ControllerUnits) -> Iterator[tuple[str, ...]]:
@@ -284,8 +282,7 @@ def _settings_rows(sets: Sequence[PidGains], units: ControllerUnits) -> Iterator
         if not dial.label:
             continue
         form = f" ({units.form})" if i == 0 and not units.apart else ""
-        cells = [_cell(_dialled(gains, units)[i], dial.unit) for gains in sets]
-        yield f"{dial.label}{form}", *cells
+        yield f"{dial.label}{form}", *[_cell(_dialled(gains, units)[i], dial.unit) for gains in sets]
     if units.dials != PARALLEL:
         for name, unit in (("kp", ""), ("ki", " /s"), ("kd", " s")):
             yield name, *(_cell(getattr(gains, name), unit) for gains in sets)
@@ -324,8 +321,7 @@ def _formula(view: DecisionView, wanted: PidGains) -> Sequence[Block]:
         if all(abs(a - b) <= SAME * max(abs(a), abs(b)) for a, b in pairs_):
             told = explanation(rule, kind, sampled, None, wishes, found)
             lines = [*told.formula, *(line for line in told.with_numbers if line not in told.formula)]
-            source = f"{_put_in(view, model, kind)} {told.source}".strip()
-            return Code("\n".join(lines)), Text(source, "muted")
+            return Code("\n".join(lines)), Text(f"{_put_in(view, model, kind)} {told.source}".strip(), "muted")
     return ()
 
 
@@ -365,16 +361,14 @@ def _margins(view: DecisionView) -> Sequence[Block]:
     if not rows:
         return ()
     new = new_name(view)
-    middle = (old_name(view), new, f"{new}, worst case")[: len(rows[0]) - 2]
-    return (Table(("", *middle, "usual"), rows),)
+    return (Table(("", *(old_name(view), new, f"{new}, worst case")[: len(rows[0]) - 2], "usual"), rows),)
 
 
 def _whereabouts(view: DecisionView) -> list[tuple[str, object]]:
     loads = len(numbers(view.estimate, "loads"))
-    before = settings_text(view.before, words(view.document, "loop")) if view.before else ""
     return [
         ("ledger row", f"{view.row}, hash {view.hash}" if view.row is not None else ""),
-        ("active gains at the time", before),
+        ("active gains at the time", settings_text(view.before, words(view.document, "loop")) if view.before else ""),
         ("code", words(view.document, "code")),
         ("load steps in the record", str(loads) if loads else ""),
         ("state of the region", words(view.document, "trial")),

@@ -184,8 +184,7 @@ def samples_of(columns: Mapping[str, FloatArray], response: Document, end_s: flo
     if last - first < 3:
         return None
     begun = int(np.searchsorted(t, start))
-    region = columns["region"]
-    first += _unbroken(region[first : begun + 1], t[first : begun + 1])
+    first += _unbroken(columns["region"][first : begun + 1], t[first : begun + 1])
     sets = columns["sequence"][first:last] if "sequence" in columns else np.zeros(last - first)
     changed = t[first:last][1:][np.diff(sets) != 0]
     sp, pv, co = (columns[name][first:last] for name in ("sp", "pv", "co"))

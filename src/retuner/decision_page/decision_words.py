@@ -95,8 +95,7 @@ def model_text(decision: "Decision | Document") -> str:
 def cause_text(decision: "Decision | Document") -> str:
     """The cause, or what it was about where no response was looked at, or that there was none to name."""
     document = document_of(decision)
-    cause = words(part(document, "diagnosis"), "cause").replace("_", " ")
-    return cause or about_nothing_seen(document) or "undecided"
+    return words(part(document, "diagnosis"), "cause").replace("_", " ") or about_nothing_seen(document) or "undecided"
 
 
 def about_nothing_seen(decision: "Decision | Document") -> str:

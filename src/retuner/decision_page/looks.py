@@ -31,8 +31,7 @@ def thinned(x: FloatArray, y: FloatArray, most: int = MOST_POINTS) -> tuple[Floa
     stretch = 2 * len(x) // most
     if stretch < 2:
         return x, y
-    whole = len(x) // stretch * stretch
-    rows = y[:whole].reshape(-1, stretch)
+    rows = y[: len(x) // stretch * stretch].reshape(-1, stretch)
     places = np.stack([rows.argmin(axis=1), rows.argmax(axis=1)], axis=1) + stretch * np.arange(len(rows))[:, None]
     kept = np.unique(np.concatenate([[0], places.ravel(), [len(x) - 1]]))
     return x[kept], y[kept]

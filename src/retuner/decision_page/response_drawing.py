@@ -87,8 +87,7 @@ def _peaks(panel: Panel, view: DecisionView, samples: Samples, zero: float, scal
         sp = float(samples.sp[min(int(np.searchsorted(samples.t_s, peak.t_s)), len(samples.sp) - 1)])
         at = (peak.t_s - zero) / scale
         panel.curve([at, at], [sp, sp - peak.e], Stroke(SETPOINT, 9))
-        away = (60, 160 if peak.e > 0 else -90)
-        panel.note((at, sp - peak.e), f"E{i} = {peak.e:.3g}", away, SETPOINT, dot=True)
+        panel.note((at, sp - peak.e), f"E{i} = {peak.e:.3g}", (60, 160 if peak.e > 0 else -90), SETPOINT, dot=True)
 
 
 def _remainder(place: Place, over: Range, view: DecisionView, samples: Samples, x: FloatArray) -> list[Panel]:

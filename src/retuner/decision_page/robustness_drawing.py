@@ -112,8 +112,7 @@ def _curve(process: LinearProcess, gains: PidGains) -> tuple[FloatArray, FloatAr
     """L(jw) near the origin, NaN where it is far out so that no line is drawn across."""
     loop = open_loop(process, gains)
     value: ComplexArray = loop.along(grid(loop))
-    near = np.abs(value) < FAR_OUT
-    value = value[np.convolve(near, np.ones(3), "same") > 0]
+    value = value[np.convolve(np.abs(value) < FAR_OUT, np.ones(3), "same") > 0]
     return value.real, value.imag
 
 

@@ -53,8 +53,7 @@ class OrderOfWrites:
 
     def _why(self, ways: Sequence[Way]) -> str:
         region = self._retuner.region
-        known = region is not None and region in self._retuner.region_models
-        if known:
+        if region is not None and region in self._retuner.region_models:
             return (
                 f"the controller takes the gains in several messages; in none of {len(ways)} orders is every step "
                 f"proved (Ms at most {self._retuner.settings.guard.ms_worst:g} on every plausible model)"

@@ -33,8 +33,7 @@ def warm_up() -> Decision | None:
         co = integral + GAINS.kp * (sp - seen)
         late.append(co)
         pv += (K * late.popleft() - pv) / LAG
-        sample = LoopSample(float(i), sp, seen, co, LoopMode.AUTO, x=sp)
-        decision = retuner.observe(sample)
+        decision = retuner.observe(LoopSample(float(i), sp, seen, co, LoopMode.AUTO, x=sp))
         made += decision is not None
         if made == DECISIONS:
             return decision

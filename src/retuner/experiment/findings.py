@@ -170,8 +170,7 @@ def _read_setpoint(found: ExperimentFindings, window: Window, question: Experime
     _try(found, "two-step", lambda: step.two_step_model(seen, kc0))
     if "two-step" in found.models:
         direct = step.direct_settings(seen, kc0)
-        best = found.model or found.models["two-step"]
-        found.offers[OVERSHOOT_RULE] = TuneResult.on(direct, best)
+        found.offers[OVERSHOOT_RULE] = TuneResult.on(direct, found.model or found.models["two-step"])
 
 
 def _read_relay(found: ExperimentFindings, window: Window, question: ExperimentQuestion) -> None:

@@ -245,8 +245,7 @@ class OnDemandExperiment:
             nothing = valve_described(self._outcome.valve)
         elif runner.plan.hold_s and runner.cause is None:
             nothing = [f"next: retuner diagnose FIRST {record}, with FIRST for the record that asked for this test"]
-        lines = described(found, settings=not runner.cause) if found else nothing
-        for line in lines:
+        for line in described(found, settings=not runner.cause) if found else nothing:
             self._screen.say(line)
         if runner.phase is Phase.STRANDED:
             before = runner.before.words if runner.before else "the initial state"

@@ -171,8 +171,7 @@ class ExperimentRunner:
     @property
     def excited(self) -> list[LoopSample]:
         """The samples of the excitation, with the last ones before it, so that the record begins at rest."""
-        lead = min(self.excited_from, self.plan.rest_samples)
-        return self.samples[self.excited_from - lead : self.excited_to]
+        return self.samples[self.excited_from - min(self.excited_from, self.plan.rest_samples) : self.excited_to]
 
     @property
     def text(self) -> str:

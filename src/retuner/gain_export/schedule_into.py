@@ -134,8 +134,7 @@ def _replaced(text: str, loop: int | None, table: GainTable, note: str) -> Writt
     written = tomlkit.dumps(document)
     if not own:
         # The text without what stands above a new section at the end of its loop and belongs below it
-        digest = str(section["proposal"])
-        start = written.rindex("[loop.schedule]", 0, written.index(digest))
+        start = written.rindex("[loop.schedule]", 0, written.index(str(section["proposal"])))
         above = written[:start].rstrip().removesuffix(kept.strip()).rstrip()
         written = f"{above}\n\n{written[start:]}"
     written = re.sub(rf"# {END}\n(\n?)", lambda end: kept or end[1], written, count=1)

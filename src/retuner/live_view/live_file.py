@@ -181,8 +181,7 @@ class LiveReader:
             within = int(np.count_nonzero((table[:, 0] >= from_s) & (table[:, 0] <= to_s)))
             if reaches and within <= BLOCK * most:
                 break
-        inside = (finer[:, 0] >= from_s) & (finer[:, 0] <= to_s)
-        return thinned(finer[inside], most)
+        return thinned(finer[(finer[:, 0] >= from_s) & (finer[:, 0] <= to_s)], most)
 
     def extent(self) -> tuple[float, float]:
         """Times of the oldest and of the newest sample of which anything is kept, s; zeros before the first."""

@@ -260,5 +260,4 @@ def peaks_so_far(state: RecogniserState | None) -> tuple[Peak, ...]:
     if state is None or not state.started or state.phase >= R.ADAPT:
         return ()
     first, second, newest = (Peak(state.t1_s, state.e1), Peak(state.t2_s, state.e2), Peak(state.t_peak_s, state.e_peak))
-    passed = {0: (), 1: (first,), 2: (first, second)}[state.phase // 2]
-    return (*passed, newest)
+    return (*{0: (), 1: (first,), 2: (first, second)}[state.phase // 2], newest)

@@ -85,10 +85,9 @@ class Among:
             )
         now = together(plant, self.closed)
         changed = [replace(one, gains=gains) if i == self.own else one for i, one in enumerate(self.closed)]
-        then = together(plant, changed)
         told = [
             f"Ms of {name} {_shown(after)}, now {_shown(before)}"
-            for i, (name, before, after) in enumerate(zip(self.names, now, then, strict=True))
+            for i, (name, before, after) in enumerate(zip(self.names, now, together(plant, changed), strict=True))
             if after > max(self.ms_most, before * (1.0 if i == self.own else NO_WORSE))
         ]
         if not told:
@@ -113,8 +112,7 @@ def on_one_clock(samples: Sequence[Sequence[tuple[float, ...]]], dt_s: float) ->
     for one in every[1:]:
         off = end - float(one[-1, 0])
         one[:, 0] += off if abs(off) > 2 * dt_s else 0.0
-    begin = max(float(one[0, 0]) for one in every)
-    t = end - dt_s * np.arange(int((end - begin) / dt_s + 1e-9), -1, -1)
+    t = end - dt_s * np.arange(int((end - max(float(one[0, 0]) for one in every)) / dt_s + 1e-9), -1, -1)
     rows = [one[np.maximum(np.searchsorted(one[:, 0], t + dt_s / 1000, "right") - 1, 0)] for one in every]
     return tuple(OneLoopRecord(row[:, 1], row[:, 2], row[:, 3]) for row in rows)
 
@@ -170,11 +168,10 @@ class OnePlant:
             return None
         settings = [one.settings for one in self.retuners]
         order = [own, *(i for i in range(len(samples)) if i != own)]  # the clock is that of the loop that asks
-        records = on_one_clock([samples[i] for i in order], self._dt_s)
         return Among(
             tuple(self.retuners[i].table.loop for i in order),
             tuple(Closed(_gains(self.retuners[i]), settings[i].sample_time_s, settings[i].filter_s) for i in order),
-            records,
+            on_one_clock([samples[i] for i in order], self._dt_s),
             self._dt_s,
             0,
             settings[own].guard.ms_nominal,

@@ -168,8 +168,7 @@ class Replay:
         """Take a sample as the session did: a question was answered at once, unless a row here says that it was not."""
         step = self._retuner.step(sample)
         samples, coming = self._result.samples, islice(self._rows, self._next, None)  # rows not taken yet
-        here = takewhile(lambda row: row.body.get("samples") == samples, coming)
-        waits = any(row.kind == "question" for row in here)
+        waits = any(row.kind == "question" for row in takewhile(lambda row: row.body.get("samples") == samples, coming))
         if step.question is None or waits:
             return step.decision
         return self._retuner.enter(step.question, decide(step.question), self._retuner.sample_number)
@@ -248,10 +247,9 @@ class Replay:
 def verdict_of(decision: Mapping[str, Any]) -> dict[str, object]:
     """What a decision comes to: what is done where, for which cause, and with which gains, to three digits."""
     gains = decision.get("gains_after") or {}
-    diagnosis = decision.get("diagnosis") or {}
     return {
         **{name: decision.get(name) for name in ("number", "t_s", "region", "action", "code", "basis")},
-        "cause": diagnosis.get("cause"),
+        "cause": (decision.get("diagnosis") or {}).get("cause"),
         "gains_after": {name: f"{value:.3g}" for name, value in gains.items()},
     }
 
@@ -302,8 +300,7 @@ def recorded_columns(session: RecordedSession) -> Columns:
         # The samples of the bus log; without its beginning, in which the host got to know the device, as a
         # bystander
         config = session.config
-        whole = not log_parts(session.bus_log).gone
-        heard = Overhearing(config.bus.node, config.loop.sample_time_s, as_host=whole)
+        heard = Overhearing(config.bus.node, config.loop.sample_time_s, as_host=not log_parts(session.bus_log).gone)
         joined = (heard.take(message) for message in read_parts(session.bus_log))
         rows = [(s.sample.t_s, s.sample.sp, s.sample.pv, s.sample.co, 0.0) for s in joined if s is not None]
         if not rows:

@@ -104,8 +104,7 @@ class Teller:
         elif kind == "decision":
             self._said[where] = f"decision {int(number(body, 'number') or 0)}", words(body, "reason")
         if kind == "decision" and words(body, "action") != "none":
-            digest = digest_of(without_place(row.body))
-            self._decided[where] = (digest, int(number(body, "number") or 0))
+            self._decided[where] = (digest_of(without_place(row.body)), int(number(body, "number") or 0))
         elif kind == "trial":
             self._tried[where] = self._decision(words(body, "decision"), where)
         about = {
@@ -176,12 +175,11 @@ def _decision(body: Document) -> Words:
     said = reason if own else f"{done}: {reason}"
     said += f"; in place of {older}" if older else ""
     title = f"decision {int(number(body, 'number') or 0)}{f' on {concerns}' if concerns else ''}, {said}"
-    seen = (response_text(body), explanation_text(body), knowledge_text(body))
     return Words(
         title,
         "" if stays(body) else _settings(body, "gains_before"),
         _settings(body, "gains_after") if action != "none" else "",
-        " | ".join(text for text in seen if text),
+        " | ".join(text for text in (response_text(body), explanation_text(body), knowledge_text(body)) if text),
         proof_text(body, action, reason),
     )
 

@@ -61,8 +61,7 @@ def change_into(figure: Figure, grid: "GridSpec", change: ShownChange) -> None:
     x, unit = time_axis(found.record.t_s)
     for axes, name, before in ((top, "pv", found.record.pv), (low, "co", found.record.co)):
         axes.plot(x, before, color=FIXED, lw=0.9, label="as recorded")
-        band = found.band(name)
-        axes.fill_between(x, *band, color=PV, alpha=BAND, lw=0, label="on all plausible models")
+        axes.fill_between(x, *found.band(name), color=PV, alpha=BAND, lw=0, label="on all plausible models")
         axes.plot(x, getattr(found.best, name), color=PV, lw=1.0, label="with the new settings")
         _keep_in_sight(axes, before, getattr(found.best, name))
     top.plot(x, found.record.sp, color=SP, lw=0.9, ls="--", label="sp")
@@ -79,8 +78,7 @@ def change_into(figure: Figure, grid: "GridSpec", change: ShownChange) -> None:
 def step_panels(top: "Axes", low: "Axes", change: ShownChange, *, load: bool) -> None:
     """A unit step of setpoint or load, before and after, with the band over the models."""
     until_s = settling_s(change.processes[0], change.recommended)
-    sets = [(change.active, FIXED, "active"), (change.recommended, PV, "new")]
-    for gains, colour, name in sets:
+    for gains, colour, name in [(change.active, FIXED, "active"), (change.recommended, PV, "new")]:
         if gains is None:
             continue
         grid = np.linspace(0.0, until_s, 400)
@@ -115,8 +113,7 @@ def _keep_in_sight(axes: "Axes", *signals: FloatArray) -> None:
 
 def _answer(process: LinearProcess, gains: PidGains, grid: FloatArray, *, load: bool) -> tuple[FloatArray, FloatArray]:
     """pv and co on that grid of seconds."""
-    filter_s = gains.kd / gains.kp / 10.0 if gains.kp else 0.0
-    found = step_response(process, gains, float(grid[-1]), filter_s, load=load)
+    found = step_response(process, gains, float(grid[-1]), gains.kd / gains.kp / 10.0 if gains.kp else 0.0, load=load)
     pv, co = (np.interp(grid, found.t, values, left=0.0) for values in (found.pv, found.co))
     return np.clip(np.nan_to_num(pv), -OUT_OF_SIGHT, OUT_OF_SIGHT), np.clip(
         np.nan_to_num(co), -OUT_OF_SIGHT, OUT_OF_SIGHT

@@ -38,8 +38,7 @@ class ExplainedCurve:
     @classmethod
     def of(cls, name: str, window: Window, pv: FloatArray) -> "ExplainedCurve":
         """An explanation of every n-th sample of a window."""
-        every = -(-len(window.t_s) // len(pv))
-        return cls(name, window.t_s[::every], np.asarray(pv, dtype=np.float64))
+        return cls(name, window.t_s[:: -(-len(window.t_s) // len(pv))], np.asarray(pv, dtype=np.float64))
 
 
 @dataclass(frozen=True, slots=True)

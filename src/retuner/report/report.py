@@ -116,10 +116,9 @@ def overview(table: GainTable, decisions: Sequence[Document], advice: Sequence[s
 
     advice : sentences that propose to split or merge regions.
     """
-    names = table.regions.names
     rows = [
         (now.name, f"{now.seen}", now.process or "nothing yet", now.cause, _marks(now))
-        for now in regions_now(names, decisions)
+        for now in regions_now(table.regions.names, decisions)
     ]
     return {"rows": rows, "advice": advice, "grid": _grid(table)}
 
@@ -142,7 +141,7 @@ def _grid(table: GainTable) -> tuple[Sequence[str], Sequence[Sequence[str]]] | N
         return None
     down, across = regions.axes
     heads = (f"{down.label} \\ {across.label}", *(across.text(j) for j in range(len(across))))
-    rows = [
+    return heads, [
         (
             down.text(i),
             *(
@@ -152,7 +151,6 @@ def _grid(table: GainTable) -> tuple[Sequence[str], Sequence[Sequence[str]]] | N
         )
         for i in range(len(down))
     ]
-    return heads, rows
 
 
 SAME_GAINS = 1e-4  # relative difference up to which gains of a trend are those of the table (the wire rounds them)
@@ -224,7 +222,6 @@ def render(data: ReportData) -> str:
         share = 1 - sum(a for a, _ in saved) / sum(b for _, b in saved if b)
         much = f"{abs(share):.0%} {'smaller' if share > 0 else 'LARGER'} than" if round(share, 2) else "the same as"
         parts.append(f"The integrated error is {much} with fixed gains.")
-    twins = _twins(data)
     return rendered(
         "report.html.jinja",
         title=f"{data.loop}: retuning report",
@@ -237,7 +234,7 @@ def render(data: ReportData) -> str:
             f"the largest over the operating points visited; the limit is {data.ms_limit:g}."
         ),
         regions=overview(data.after, documents, data.advice),
-        twins=twins,
+        twins=_twins(data),
         twins_note="" if data.fixed is not None else "There was no run with fixed gains to compare with.",
         what_if=what_if_section(
             panels, {"controller": units.name, "span": units.pv_span, "sets": ["final", "baseline"]}
@@ -281,7 +278,6 @@ def _scores_table(data: ReportData, documents: Sequence[Document]) -> tuple[Sequ
     rows = []
     for s in data.scores:
         fixed = s.iae if s.iae_fixed is None else s.iae_fixed
-        mark = "good" if s.iae < fixed else "bad" if s.iae > fixed else ""
         rows.append(
             (
                 s.region,
@@ -290,7 +286,7 @@ def _scores_table(data: ReportData, documents: Sequence[Document]) -> tuple[Sequ
                 ms_text(s.ms_before),
                 _ms_cell(s, data.ms_limit, documents),
                 "-" if s.iae_fixed is None else in_full(s.iae_fixed),
-                Toned(in_full(s.iae), mark),
+                Toned(in_full(s.iae), "good" if s.iae < fixed else "bad" if s.iae > fixed else ""),
             )
         )
     return heads, rows
@@ -325,8 +321,7 @@ def _twins(data: ReportData) -> list[str]:
         name = names[twin.region]
         if name in still:
             continue
-        commissioned = as_commissioned(data, twin)
-        images.append(twin_svg(data.run, data.fixed, twin, name, data.unit, commissioned=commissioned))
+        images.append(twin_svg(data.run, data.fixed, twin, name, data.unit, commissioned=as_commissioned(data, twin)))
     return images
 
 
@@ -354,9 +349,8 @@ def _decisions_table(
         link = Linked(name, f"#decision-{name}" if int(name) in paged else "")
         at_s = number(document, "t_s") or 0.0
         minutes = round((at_s - float(t_s[0])) / 60) if long else 0
-        when = f"{minutes // 60}:{minutes % 60:02d}" if long else f"{at_s:,.0f}"
         told = (
-            when,
+            f"{minutes // 60}:{minutes % 60:02d}" if long else f"{at_s:,.0f}",
             words(document, "region"),
             response_text(document),
             cause_text(document),

@@ -144,8 +144,7 @@ def _truths(
 def iae(columns: Columns, region: int) -> float:
     """Integral of |sp - pv| over the time spent in a region, pv units times seconds."""
     t, inside = columns["t"], columns["region"] == region
-    dt = np.diff(t, append=t[-1])
-    return float(np.sum(np.abs(columns["sp"] - columns["pv"])[inside] * dt[inside]))
+    return float(np.sum(np.abs(columns["sp"] - columns["pv"])[inside] * np.diff(t, append=t[-1])[inside]))
 
 
 @dataclass(frozen=True, slots=True)

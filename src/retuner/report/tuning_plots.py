@@ -34,10 +34,8 @@ def responses_figure(model: ProcessModel, rows: tuple[RuleRow, ...]) -> Figure:
     stable = [row for row in rows if row.result.margins and row.result.margins.stable]
     kinds = [kind for kind in ControllerKind if any(row.result.kind == kind for row in stable)]
     # time to give each of the two steps: the responses of the middle of the rules have settled by then
-    gains = [row.result.tuning.gains for row in stable]
-    resets = sorted(g.kp / g.ki for g in gains if g.ki and g.kp)
-    middle = resets[len(resets) // 2] if resets else 0.0
-    window = 4 * middle + 10 * model.theta_s + 2 * model.tau2_s or 1.0
+    resets = sorted(g.kp / g.ki for g in [row.result.tuning.gains for row in stable] if g.ki and g.kp)
+    window = 4 * (resets[len(resets) // 2] if resets else 0.0) + 10 * model.theta_s + 2 * model.tau2_s or 1.0
     figure = Figure(figsize=(5.4 * max(len(kinds), 1) + 1, 6.6))
     axes = figure.subplots(2, max(len(kinds), 1), sharex=True, sharey="row", squeeze=False, height_ratios=(2, 1))
     load = _load_size(model.linear(), stable, window)

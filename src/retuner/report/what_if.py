@@ -176,8 +176,7 @@ def _curve(process: LinearProcess, dt_s: float, models: Sequence[LinearProcess])
 
 def _telling(record: Window) -> Window:
     """The part of a record with the greatest error, as long as a page carries."""
-    n = len(record.t_s)
-    if n <= MOST_SAMPLES:
+    if len(record.t_s) <= MOST_SAMPLES:
         return record
     error = np.concatenate([[0.0], np.cumsum(np.abs(record.sp - record.pv))])
     first = int(np.argmax(error[MOST_SAMPLES:] - error[:-MOST_SAMPLES]))
@@ -190,11 +189,10 @@ def _recorded(record: Window | None, limits: tuple[float | None, float | None]) 
         return {"dt": 1.0, "sp": [], "pv": [], "co": [], "limits": [-1e9, 1e9], "range": 1.0, "floor": [0.0, 0.0]}
     room = 1e6 * max(float(np.ptp(record.co)), 1.0)
     low = float(np.min(record.co)) - room if limits[0] is None else limits[0]
-    high = float(np.max(record.co)) + room if limits[1] is None else limits[1]
     return {
         "dt": record.sample_time_s,
         **{name: _listed(getattr(record, name), 6) for name in ("sp", "pv", "co")},
-        "limits": [low, high],
+        "limits": [low, float(np.max(record.co)) + room if limits[1] is None else limits[1]],
         "range": max(float(np.ptp(record.pv)), float(np.ptp(record.sp)), 1e-9),
         "floor": [*axis_floors(record.pv)],
     }

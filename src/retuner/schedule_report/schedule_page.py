@@ -42,8 +42,7 @@ def changing_with(found: ScheduleDesign, *, second: bool = False) -> list[str]:
     if two is None:
         shapes, curve = form.shapes, None if second else curves.ln(form.axis.grid(ALONG))
     elif second:
-        middle = float(form.axis.grid(3)[1])
-        shapes, curve = two.shapes, curves.ln(np.full(ALONG, middle), two.axis.grid(ALONG))
+        shapes, curve = two.shapes, curves.ln(np.full(ALONG, float(form.axis.grid(3)[1])), two.axis.grid(ALONG))
     else:
         shapes, curve = form.shapes, curves.ln(form.axis.grid(ALONG), np.full(ALONG, two.axis.grid(3)[1]))
     if curve is None:
@@ -112,11 +111,10 @@ def experiment_sentence(found: ScheduleDesign) -> str:
     wanted = found.next_experiment
     beside = "" if wanted.x2 is None else f", {found.second} {wanted.x2:.2g}"
     hold = f"{wanted.hold_s / 60.0:.0f} min" if wanted.hold_s >= LONG_HOLD_S else f"{wanted.hold_s:.3g} s"
-    told = (
+    return (
         f"Kc is least certain near {found.variable} {wanted.x:.2g}{beside} ({100 * wanted.gain_std:.0f} %). Best next "
         f"test: setpoint {wanted.sp_step:+.2g} (or co {wanted.co_step:+.2g} in manual), hold {hold}."
-    )
-    return told + " The limit of co makes the step smaller than the noise requires: repeat it." * wanted.held
+    ) + " The limit of co makes the step smaller than the noise requires: repeat it." * wanted.held
 
 
 def push_sentence(found: ScheduleDesign) -> str:
@@ -239,8 +237,7 @@ def _dress(axes: "Axes", found: ScheduleDesign) -> None:
         return
     hard = found.table.lookup is Lookup.HARD
     edges = found.layout.edges
-    marks = edges[1:-1] if hard else [(a + b) / 2 for a, b in pairwise(edges)]
-    for x in marks:
+    for x in edges[1:-1] if hard else [(a + b) / 2 for a, b in pairwise(edges)]:
         axes.axvline(x, color=MARK, lw=0.8, ls="--" if hard else ":")
 
 
@@ -253,8 +250,7 @@ def _records(axes: "Axes", found: ScheduleDesign, windows: Sequence[Window]) -> 
         axes.plot(*thinned(hours, window.sp, MOST_POINTS), color=SP, lw=0.8, ls="--", label=None if i else "setpoint")
         begin += float(window.t_s[-1] - window.t_s[0]) * 1.02
     if found.table is not None and found.variable in {"sp", "pv"}:
-        edges = [-1e9, *found.layout.edges[1:-1], 1e9]
-        for i, (low, high) in enumerate(pairwise(edges)):
+        for i, (low, high) in enumerate(pairwise([-1e9, *found.layout.edges[1:-1], 1e9])):
             axes.axhspan(low, high, color=BANDS[i % len(BANDS)], lw=0, zorder=0)
     every_pv = np.concatenate([window.pv for window in windows])
     room = 0.05 * float(np.ptp(every_pv))

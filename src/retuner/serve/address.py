@@ -37,15 +37,13 @@ def listening(options: ServeOptions) -> socket.socket:
             return listening(replace(options, port=PORT))
         except UserError:  # taken: any other one will do
             return listening(replace(options, port=0))
-    family = socket.AF_INET6 if ":" in options.host else socket.AF_INET
-    ours = socket.socket(family, socket.SOCK_STREAM)
+    ours = socket.socket(socket.AF_INET6 if ":" in options.host else socket.AF_INET, socket.SOCK_STREAM)
     ours.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         ours.bind((options.host, options.port))
     except (OSError, OverflowError) as error:
         ours.close()
-        taken = isinstance(error, OSError) and error.errno == errno.EADDRINUSE
-        if taken:
+        if isinstance(error, OSError) and error.errno == errno.EADDRINUSE:
             raise UserError(f"Port {options.port} is in use; try --port {options.port + 1}.") from None
         raise UserError(f"--port {options.port} at {options.host}: cannot listen there: {error}") from None
     ours.listen(1024)

@@ -277,8 +277,7 @@ def _order_of(body: dict[str, Any]) -> Order:
 
 
 def _not_taken(_: Request, error: Exception) -> Response:
-    status = error.status if isinstance(error, NotTakenError) else 500
-    return PlainTextResponse(f"{error}\n", status_code=status)
+    return PlainTextResponse(f"{error}\n", status_code=error.status if isinstance(error, NotTakenError) else 500)
 
 
 async def _body(request: Request) -> dict[str, Any]:

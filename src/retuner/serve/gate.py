@@ -74,8 +74,7 @@ class Gate:
             if name in headers and name in {b"host", b"origin"}:
                 return 400, "a header comes twice"
             headers[name] = value
-        host = headers.get(b"host", b"").decode("latin-1").lower()
-        if host not in self._access.hosts:
+        if headers.get(b"host", b"").decode("latin-1").lower() not in self._access.hosts:
             return 421, "unknown host name; open the address that `retuner serve` printed"
         origin = headers.get(b"origin", b"").decode("latin-1").lower()
         site = headers.get(b"sec-fetch-site", b"").decode("latin-1")
@@ -84,7 +83,6 @@ class Gate:
             return 403, "a page of another site may not ask for this"
         if (acts or scope["path"] != "/") and site not in OURS:
             return 403, "a page of another site may not ask for this"
-        client = (scope.get("client") or ("", 0))[0]
-        if not self._access.requests.take(client):
+        if not self._access.requests.take((scope.get("client") or ("", 0))[0]):
             return 429, "too many requests; wait a moment"
         return None

@@ -72,8 +72,7 @@ class PageAccess:
         """A new session's cookie for the right token; empty for a wrong one, None when there were too many tries."""
         if not self._tries.take(client):
             return None
-        right = hmac.compare_digest(token.encode("utf-8", "replace"), self.token.encode())
-        if not right or self.read_only:
+        if not hmac.compare_digest(token.encode("utf-8", "replace"), self.token.encode()) or self.read_only:
             return ""
         cookie = secrets.token_urlsafe(24)
         while len(self._sessions) >= MOST_SESSIONS:

@@ -104,8 +104,7 @@ class RecordedRuns:
         self.root = root
         self.sessions: dict[str, WatchedSession] = {}
         self.refused: dict[str, str] = {}
-        folders = list(self._folders())
-        if not folders:
+        if not list(self._folders()):
             raise UserError(f"{root}: holds no session; give the folder that `retuner run` leaves or fills")
         self.look()
         if not self.sessions:

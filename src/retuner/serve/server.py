@@ -34,8 +34,7 @@ class PatientProtocol(H11Protocol):
         self.loop.call_later(SILENT_S, self._still_silent)
 
     def _still_silent(self) -> None:
-        asked = getattr(self, "cycle", None) is not None
-        if not asked and not self.transport.is_closing():
+        if getattr(self, "cycle", None) is None and not self.transport.is_closing():
             self.transport.close()
 
 
@@ -56,8 +55,7 @@ def serve(
     ours = ours or listening(options)
     port = int(ours.getsockname()[1])
     secure = options.certificate is not None
-    names = our_names(options, port)
-    access = PageAccess(names, time.monotonic, secure=secure, read_only=options.read_only, port=port)
+    access = PageAccess(our_names(options, port), time.monotonic, secure=secure, read_only=options.read_only, port=port)
     access.token = token or access.token
     for line in () if told else lines(options, port, access.token):
         say(line)

@@ -155,12 +155,11 @@ def commit_key(config: Config) -> bytes | None:
 def link_settings(config: Config, speed: float = 1.0) -> LinkSettings:
     """How to open the bus; patience is in the far side's seconds."""
     bus = config.bus
-    patience = max(10.0 * speed, 10.0 * config.loop.sample_time_s)
     return LinkSettings(
         bus.interface,
         bus.channel,
         bus.hop_limit,
-        silent_after_s=patience,
+        silent_after_s=max(10.0 * speed, 10.0 * config.loop.sample_time_s),
         reopen_first_s=0.2 * speed,
         reopen_max_s=5.0 * speed,
         log_bytes_max=config.output.bus_log_mb * 1e6,
@@ -200,8 +199,7 @@ def make_device(
 
     Raises ProfileError: a foreign device's description cannot be used.
     """
-    foreign = config.foreign_device
-    if foreign is None:
+    if config.foreign_device is None:
         settings = device_settings(config, speed)
         return CanDevice(link, settings if owner is None else replace(settings, owner=owner), after_s)
     made: ForeignDevice = product("foreign device").host_side(config, link, schedule_inputs(config), speed, after_s)
@@ -213,8 +211,7 @@ def make_far_side(config: Config, plant: Plant, epoch: int = 1) -> BusDevice:
 
     Raises ProfileError: a foreign device's description cannot be used.
     """
-    foreign = config.foreign_device
-    if foreign is None:
+    if config.foreign_device is None:
         device = VirtualDevice(virtual_device_settings(config), plant, epoch=epoch)
         if isinstance(plant, PlantPort):
             plant.held_by = device

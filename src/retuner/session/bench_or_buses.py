@@ -264,8 +264,7 @@ def live_buses(
 ) -> Iterator[LiveBuses]:
     """The configured buses in real time. Raises DeviceError: a bus or its log cannot be opened."""
     settings = [_settings(config, loops, speed) for loops in config.buses]
-    shortest_s = min(one.loop.sample_time_s for one in config.loops)
-    pause_s = min(shortest_s / POLLS_PER_SAMPLE, LONGEST_PAUSE_S * clock.speed)
+    pause_s = min(min(one.loop.sample_time_s for one in config.loops) / POLLS_PER_SAMPLE, LONGEST_PAUSE_S * clock.speed)
     came = threading.Event()
     with opened(settings, clock, log) as links, ExitStack() as stack:
         shares = [LinkShare(link) for link in links]

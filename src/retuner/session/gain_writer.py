@@ -336,8 +336,7 @@ class GainWriter:
         if region is None or gains is None:
             return None
         # a tried set may lie within the schedule's step
-        near = self._tolerance if self._newest == Why.RESTORE else SAME_GAINS
-        if change_factor(running.gains, gains) <= near:
+        if change_factor(running.gains, gains) <= (self._tolerance if self._newest == Why.RESTORE else SAME_GAINS):
             if self.device.confirm(now_s):
                 self._restored(running)
             return None

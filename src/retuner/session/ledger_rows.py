@@ -53,8 +53,7 @@ def trouble(event: Event) -> tuple[str, dict[str, object]]:
         case DeviceRestarted():
             return "restart", {"epoch": event.epoch, "gains": gains_dict(event.running.gains), "gap": event.gap}
         case RunningChanged() | Reverted():
-            kind = "reverted" if isinstance(event, Reverted) else "foreign"
-            return kind, {"gains": gains_dict(event.running.gains)}
+            return "reverted" if isinstance(event, Reverted) else "foreign", {"gains": gains_dict(event.running.gains)}
         case LeaseChanged() | VariableChanged():
             return "lease" if isinstance(event, LeaseChanged) else "variable", asdict(event)
         case ForeignHost():

@@ -253,8 +253,7 @@ class LoopSession:
             return
         if self.retuner.turned:  # as in manual: a bump goes back, none begins
             sample = sample._replace(mode=LoopMode.MANUAL)
-        free = self.writer.free and self.machine.phase is SessionPhase.WATCHING
-        news = self.bumps.step(sample, free=free)
+        news = self.bumps.step(sample, free=self.writer.free and self.machine.phase is SessionPhase.WATCHING)
         again = self.bumps.planner.again(sample.t_s)
         if news is not None:
             self._bump_told(news, now_s)

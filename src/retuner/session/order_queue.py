@@ -116,8 +116,7 @@ def shown(rows: Iterable[Row], found: OrderState | None = None) -> OrderState:
 def _order(found: OrderState, body: Mapping[str, Any]) -> None:
     found.files.add(str(body.get("file")))
     if body.get("accepted") is True:
-        taken = found.rejected if body.get("order") == OrderKind.REJECT else found.approved
-        taken.add(str(body.get("digest")))
+        (found.rejected if body.get("order") == OrderKind.REJECT else found.approved).add(str(body.get("digest")))
         if found.waiting.get(str(body.get("region"))) == body.get("digest"):
             del found.waiting[str(body["region"])]
 

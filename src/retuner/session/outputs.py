@@ -247,9 +247,8 @@ def versions() -> dict[str, str]:
     """Versions of everything between frames and decisions, by name; code: a hash of the rooms' own, which tells more
     than the number of a release; engine: which one computes the fits, they are equal to rounding and not to the bit.
     """
-    made_with = {name: version(name) for name in PACKAGES}
     return {
-        **made_with,
+        **{name: version(name) for name in PACKAGES},
         "engine": engine_name(),
         "code": code(),
         "python": platform.python_version(),
@@ -271,10 +270,9 @@ def code() -> str:
 def differences(recorded: Mapping[str, str]) -> list[str]:
     """Which versions are others here, in words; empty when all are equal."""
     here = versions()
-    names = sorted({*recorded, *here})
     return [
         f"{name} {recorded.get(name, 'none')} then, {here.get(name, 'none')} here"
-        for name in names
+        for name in sorted({*recorded, *here})
         if recorded.get(name) != here.get(name)
     ]
 

@@ -125,6 +125,5 @@ class Pretuning:
 
 def row(region: str, samples: list[LoopSample]) -> dict[str, object]:
     """The record as the ledger keeps it."""
-    columns = {"t": 0, "sp": 1, "pv": 2, "co": 3}
-    record = {name: [float(sample[i]) for sample in samples] for name, i in columns.items()}
+    record = {name: [float(sample[i]) for sample in samples] for name, i in {"t": 0, "sp": 1, "pv": 2, "co": 3}.items()}
     return {"region": region, "step_samples": len(samples), "record": record}

@@ -122,8 +122,7 @@ class _RunningLoop:
         if self._folder is not None:
             self._folder.mkdir(parents=True, exist_ok=True)
         remembered, why_not = self._recalled() if remember else (None, "")
-        after_s = remembered.last_s if remembered is not None else None
-        device = make_device(self.config, port, speed, after_s=after_s)
+        device = make_device(self.config, port, speed, after_s=remembered.last_s if remembered is not None else None)
         retuner = remembered.retuner if remembered is not None else make_retuner(self.config, self._run.mode)
         player = ScenarioPlayer(self.config.scenario)
         session = LoopSession(device, retuner, player, self.record, self._sampled, decider)

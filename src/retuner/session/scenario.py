@@ -48,5 +48,4 @@ def loads_at(scenario: ScenarioConfig | None, t_s: FloatArray) -> FloatArray:
     """The load that a scenario has put on the plant by each time, percent; t_s counts from its first value."""
     steps = [step for step in scenario.steps if step.load is not None] if scenario else []
     levels = np.array([0.0, *(step.load or 0.0 for step in steps)])
-    elapsed = t_s - (t_s[0] if len(t_s) else 0.0)
-    return levels[np.searchsorted([step.at_s for step in steps], elapsed, side="right")]
+    return levels[np.searchsorted([step.at_s for step in steps], t_s - (t_s[0] if len(t_s) else 0.0), side="right")]

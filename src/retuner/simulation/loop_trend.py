@@ -63,8 +63,7 @@ class LoopTrend(display_hook.Drawn):
     def changes_s(self) -> list[float]:
         """When other gains came into force, seconds."""
         gains = np.nan_to_num(np.stack([self.kp, self.ki, self.kd]))
-        changed = np.flatnonzero(np.any(np.diff(gains, axis=1) != 0.0, axis=0)) + 1
-        return [float(self.t_s[i]) for i in changed]
+        return [float(self.t_s[i]) for i in np.flatnonzero(np.any(np.diff(gains, axis=1) != 0.0, axis=0)) + 1]
 
     @property
     def window(self) -> Window:

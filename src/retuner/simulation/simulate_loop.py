@@ -138,13 +138,11 @@ def _plain_pid(
     gains: PidGains, co_range: tuple[float, float], co0: float, dt_s: float
 ) -> Callable[[float, float], float]:
     """A PID with these gains, at rest at co0 in its first sample; its derivative has a filter."""
-    filter_s = gains.kd / gains.kp / 10.0 if gains.kp else 0.0
-    pid = law(gains, tau_f_s=filter_s, co_min=co_range[0], co_max=co_range[1])
+    pid = law(gains, tau_f_s=gains.kd / gains.kp / 10.0 if gains.kp else 0.0, co_min=co_range[0], co_max=co_range[1])
     states: list[tuple[float, float, float, float, int]] = []
 
     def stepped(sp: float, pv: float) -> float:
-        state = states.pop() if states else start(pid, sp, pv, co0)
-        after, co = step(pid, state, sp, pv, dt_s)
+        after, co = step(pid, states.pop() if states else start(pid, sp, pv, co0), sp, pv, dt_s)
         states.append(after)
         return co
 

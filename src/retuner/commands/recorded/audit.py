@@ -79,8 +79,7 @@ def _work(found: Catalogue, settings: AuditSettings, options: AuditOptions, stor
     if share >= 1 or settings.stretches == 0:
         return False
     then = diagnosing(found.tasks, settings, store.rows(), store.done(), share)
-    chosen = tuple(tag for task in then.signed for tag in task.tags)
-    return _pass(then, chosen, options, store, "diagnosed")
+    return _pass(then, tuple(tag for task in then.signed for tag in task.tags), options, store, "diagnosed")
 
 
 def _pass(some: Pass, tags: Sequence[str], options: AuditOptions, store: ResultStore, what: str) -> bool:
@@ -102,8 +101,7 @@ def _pass(some: Pass, tags: Sequence[str], options: AuditOptions, store: ResultS
 def _done(left: Sequence[Task], settings: AuditSettings, options: AuditOptions) -> Iterator[tuple[Task, list[Row]]]:
     if options.scheduler:
         return on_a_cluster(left, settings, options.scheduler)
-    jobs = options.jobs or processes()
-    return on_this_machine(left, settings, min(jobs, max(len(left), 1)))
+    return on_this_machine(left, settings, min(options.jobs or processes(), max(len(left), 1)))
 
 
 def _tell(rows: Sequence[Row], found: Catalogue, options: AuditOptions) -> None:

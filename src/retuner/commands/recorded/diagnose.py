@@ -326,10 +326,9 @@ def _process_lines(found: DiagnosedRecord) -> list[str]:
     if model is None:
         return []
     std = estimate.log.std() if estimate is not None and not found.result.likely else {}
-    values = {"k": model.k, **model.times_s, "theta": model.theta_s}
     numbers = (
         f"{name} {value:.4g}{f' +- {std[name]:.2g}' if name in std else ''}{' s' if name != 'k' else ''}"
-        for name, value in values.items()
+        for name, value in {"k": model.k, **model.times_s, "theta": model.theta_s}.items()
         if value
     )
     among = f", the most likely of {len(found.result.likely)}" if found.result.likely else ""

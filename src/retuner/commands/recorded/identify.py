@@ -47,8 +47,7 @@ def identify(options: IdentifyOptions) -> int:
             regions = identify_by_region(window, by, bounds, open_loop=options.open_loop, gains=gains, **limits)
         tell_assumed(read.assumed, options)
         document = {"regions": [region.to_dict() for region in regions], "assumed": [a.what for a in read.assumed]}
-        lines = [line for region in regions for line in _region_lines(region, options)]
-        tell(document, lines, as_json=options.as_json)
+        tell(document, [line for region in regions for line in _region_lines(region, options)], as_json=options.as_json)
         return 0 if all(region.found is not None and region.found.estimate.identifiable for region in regions) else 1
     with user_input(recording.source), busy(f"identifying {recording.source}"):
         found = identify_record(
@@ -94,13 +93,12 @@ def described(found: Identification) -> list[str]:
     # the model with its standard deviations
     model, std = found.estimate.log.model(), found.estimate.log.std()
     damped = [f"  {'zeta':<6} {model.zeta:10.4g}"] if model.zeta < 1 else []
-    values = {"k": model.k, **model.times_s, "theta": model.theta_s}
     lines = [
         "identified" if estimate.identifiable else "NOT identifiable: " + estimate.reason,
         *[f"  {'type':<6} {model.type:>10}"]
         + [
             f"  {name:<6} {value:10.4g} +- {std[name]:.2g}{' s' if name != 'k' else ''}"
-            for name, value in values.items()
+            for name, value in {"k": model.k, **model.times_s, "theta": model.theta_s}.items()
         ],
         *damped,
     ]
@@ -133,13 +131,12 @@ def _picture(recording: Recording, found: Identification, options: RecordOptions
     estimate = found.estimate
     window = recording.window() if options.open_loop else max(days_of(recording.window()), key=lambda day: len(day.t_s))
     title = f"{Path(recording.source).name}: " + ("identified" if estimate.identifiable else "not identifiable")
-    model = ExplainedCurve.of("model", window, fitted_pv(window, estimate))
     picture = RecordPicture(
         window,
         title,
         estimate.reason,
         described(found)[1:],
-        [model],
+        [ExplainedCurve.of("model", window, fitted_pv(window, estimate))],
         estimate.load_times_s,
         (options.co_min, options.co_max),
         estimate.noise_std,

@@ -84,8 +84,7 @@ def _cut(read: LoopRecord, options: RecordOptions) -> LoopRecord:
         )
     sp = None if recording.sp is None else recording.sp[kept]
     part = Recording(recording.source, t_s[kept], recording.pv[kept], recording.co[kept], sp)
-    others = {name: values[kept] for name, values in read.others.items()}
-    return replace(read, recording=part, others=others)
+    return replace(read, recording=part, others={name: values[kept] for name, values in read.others.items()})
 
 
 def _moment_s(read: LoopRecord, option: str, text: str, zone: str) -> float:

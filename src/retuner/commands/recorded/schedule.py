@@ -97,8 +97,7 @@ def _active(
 ) -> GainTable | RecordedGains | None:
     if gain_columns:
         columns = [np.concatenate([one.others[name] for one in records]) for name in gain_columns]
-        kd = columns[2] if len(columns) > 2 else np.zeros(len(columns[0]))
-        return RecordedGains(columns[0], columns[1], kd)
+        return RecordedGains(columns[0], columns[1], columns[2] if len(columns) > 2 else np.zeros(len(columns[0])))
     return None if options.gains is None else _in_force(options.gains)
 
 

@@ -96,8 +96,7 @@ def _draw_one(model: ProcessModel | None, result: TuneResult, path: Path) -> Non
     if result.margins is None or not result.margins.stable:
         raise UserError("--plot: the closed loop would be unstable, so there is no response to draw")
     if result.tuning.rule != "optimal":
-        row = RuleRow(result, performance(model.linear(), result.tuning.gains), None)
-        _draw(model, (row,), path)
+        _draw(model, (RuleRow(result, performance(model.linear(), result.tuning.gains), None),), path)
         return
     from retuner.decision_page.svg import drawn
     from retuner.report.tuning_plots import pareto_figure
@@ -168,12 +167,11 @@ def _cells(row: RuleRow) -> tuple[str, ...]:
     gains, parallel = shown["gains"], shown["parallel"]
     assert isinstance(gains, dict)
     assert isinstance(parallel, dict)
-    kc = _short(gains["kc"]) if gains["kc"] else f"Ki {_short(parallel['ki'])}"
     first = (
         row.result.tuning.rule,
         str(row.result.kind),
         row.result.form,
-        kc,
+        _short(gains["kc"]) if gains["kc"] else f"Ki {_short(parallel['ki'])}",
         *map(_short, (*(gains["tau_i"], gains["tau_d"]), row.result.tuning.tau_c_s)),
     )
     if m is None or not m.stable:
