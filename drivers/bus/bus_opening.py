@@ -143,7 +143,14 @@ class BusLog:
             self._writer.on_message_received(message)
             self._frames += 1
             if self._frames % LOOK_EVERY == 0 and self._size(self._writer) >= self._part_bytes:
-                self._begin_part()
+                writer, self._writer = self._writer, None
+                if writer is not None:
+                    writer.stop()
+                before = self._part(self._full_parts)
+                self._full_parts += 1
+                self._path.replace(self._part(self._full_parts))
+                before.unlink(missing_ok=True)
+                self._writer = open_log(self._path)
         except (*WRITING_ERRORS, BusError):
             self.stop()
             return False
@@ -163,17 +170,6 @@ class BusLog:
     def _size(self, writer: can.io.generic.MessageWriter) -> int:
         """Size of the newest part in bytes, as its writer knows it: with what is not in the file yet."""
         return writer.file_size() if isinstance(writer, SizedMessageWriter) else self._path.stat().st_size
-
-    def _begin_part(self) -> None:
-        """Put the full part aside, and the one before it away; killed in between, both are there and both are read."""
-        writer, self._writer = self._writer, None
-        if writer is not None:
-            writer.stop()
-        before = self._part(self._full_parts)
-        self._full_parts += 1
-        self._path.replace(self._part(self._full_parts))
-        before.unlink(missing_ok=True)
-        self._writer = open_log(self._path)
 
     def _part(self, number: int) -> Path:
         """The file of a full part, counted from 1."""

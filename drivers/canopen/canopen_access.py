@@ -79,8 +79,21 @@ class CanOpenAccess:
         self._queue: list[can.Message] = []
         self._beat_s = float("-inf")
         self.damaged = 0
-        self._listen(mapping)
-        self.units = self._take_gains(mapping)
+        self._read["pv"] = self._place(mapping.pv, ("pv",))
+        self._read["co"] = self._place(mapping.co, ("co",))
+        if mapping.sp is not None:
+            self._read["sp"] = self._place(mapping.sp, ("sp",))
+        if mapping.mode is not None:
+            self._watch("mode", mapping.mode, "", ("mode",))
+        for i, states in enumerate(mapping.stops):
+            self._watch(f"stop {i}", states, f"stop {i}", ("stop", i))
+        if mapping.setpoint is not None:
+            self._written["setpoint"] = self._place(mapping.setpoint, ("setpoint",), written=True, read=False)
+        gains = [self._gain(gain, i) for i, gain in enumerate(mapping.gains)]
+        try:
+            self.units = VendorUnits(tuple(gains), mapping.pv_span, mapping.co_span, mapping.series, mapping.by_hand)
+        except ValueError as error:
+            raise ProfileError(str(error), ("gains",)) from None
         self.reads_back = bool(mapping.gains)
         require_distinct(self._uses(mapping), file.source)
         self._pdos = dict(self._by_pdo())
@@ -99,29 +112,9 @@ class CanOpenAccess:
         assert isinstance(at, ObjectOf)
         return _ObjectPlace(self._file.variable(at.object, key, written=written, read=read), at.scale, at.offset)
 
-    def _listen(self, mapping: DeviceMapping) -> None:
-        self._read["pv"] = self._place(mapping.pv, ("pv",))
-        self._read["co"] = self._place(mapping.co, ("co",))
-        if mapping.sp is not None:
-            self._read["sp"] = self._place(mapping.sp, ("sp",))
-        if mapping.mode is not None:
-            self._watch("mode", mapping.mode, "", ("mode",))
-        for i, states in enumerate(mapping.stops):
-            self._watch(f"stop {i}", states, f"stop {i}", ("stop", i))
-        if mapping.setpoint is not None:
-            self._written["setpoint"] = self._place(mapping.setpoint, ("setpoint",), written=True, read=False)
-
     def _watch(self, name: str, states: States, source: str, key: Key) -> None:
         self._read[name] = self._place(states.at, key)
         self._watched[name] = _Watch(states, source)
-
-    def _take_gains(self, mapping: DeviceMapping) -> VendorUnits:
-        """The gains, each an SDO of its own."""
-        gains = [self._gain(gain, i) for i, gain in enumerate(mapping.gains)]
-        try:
-            return VendorUnits(tuple(gains), mapping.pv_span, mapping.co_span, mapping.series, mapping.by_hand)
-        except ValueError as error:
-            raise ProfileError(str(error), ("gains",)) from None
 
     def _gain(self, gain: GainAt, message: int) -> VendorGain:
         """One gain, read back where it is written."""
@@ -154,7 +147,17 @@ class CanOpenAccess:
             return ()
         node, cob = self._file.node, message.arbitration_id
         if cob == 0x580 + node:
-            return self._answered(message)
+            answer = self._sdo.take(message)
+            if answer is None:
+                doubled, self._sdo.doubled = self._sdo.doubled.removeprefix(WRITTEN), ""
+                return (Alive(), Doubted(doubled)) if doubled in self.units.names else (Alive(),)
+            name = answer.transfer.name
+            if answer.refused:
+                where = text_of(answer.transfer.variable)
+                return (Alive(), Denied(name.removeprefix(WRITTEN), f"object {where}: {answer.refused}"))
+            if answer.data is None:
+                return (Alive(), Acknowledged(name.removeprefix(WRITTEN)))
+            return (Alive(), *self._number(name, answer.transfer.variable, answer.data))
         if cob in self._pdos:
             return self._from_pdo(bytes(message.data), self._pdos[cob])
         if cob == HEARTBEAT + node and message.data:
@@ -169,19 +172,6 @@ class CanOpenAccess:
             words = f", {described.lower()}" if described else ""
             return (Alive(), Stopped(f"emergency {code:#06x}{words}", "emergency"))
         return ()
-
-    def _answered(self, message: can.Message) -> Sequence[Told]:
-        answer = self._sdo.take(message)
-        if answer is None:
-            doubled, self._sdo.doubled = self._sdo.doubled.removeprefix(WRITTEN), ""
-            return (Alive(), Doubted(doubled)) if doubled in self.units.names else (Alive(),)
-        name = answer.transfer.name
-        if answer.refused:
-            where = text_of(answer.transfer.variable)
-            return (Alive(), Denied(name.removeprefix(WRITTEN), f"object {where}: {answer.refused}"))
-        if answer.data is None:
-            return (Alive(), Acknowledged(name.removeprefix(WRITTEN)))
-        return (Alive(), *self._number(name, answer.transfer.variable, answer.data))
 
     def _from_pdo(self, data: bytes, entries: Sequence[tuple[str, PdoEntry]]) -> Sequence[Told]:
         """The numbers of a PDO; one that is too short tells nothing."""

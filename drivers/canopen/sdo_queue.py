@@ -124,7 +124,8 @@ class SdoQueue:
         if transfer is not None and self._segments is not None and data[0] != ABORT and not self._begins(data):
             return self._segment(transfer, self._segments, data)
         if transfer is None or not _is_about(transfer, data):
-            self._compare(data)
+            if self._last is not None and _is_about(self._last[0], data) and self._last[1] != data:
+                self.doubled = self._last[0].name
             return None
         if data[0] == ABORT:
             return self._ended(SdoAnswer(transfer, None, abort_text(int.from_bytes(data[4:8], "little"))), data)
@@ -178,11 +179,6 @@ class SdoQueue:
         self._last = answer.transfer, data
         self._open = self._deadline_s = self._segments = self._next = None
         return answer
-
-    def _compare(self, data: bytes) -> None:
-        """A second answer to the question before: one node gives one."""
-        if self._last is not None and _is_about(self._last[0], data) and self._last[1] != data:
-            self.doubled = self._last[0].name
 
 
 FRAME_BITS = 135

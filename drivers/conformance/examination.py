@@ -90,17 +90,6 @@ def examine(talk: Conversation, chapters: Sequence[tuple[str, Check]]) -> Examin
             check(found)
         except NoAnswerError as error:
             found.findings.append(Finding(chapter, str(error)))
-    _put_back(found)
-    return found
-
-
-def near(gains: PidGains, factor: float) -> PidGains:
-    """A set a little off, as float32."""
-    return to_wire(PidGains(gains.kp * factor, gains.ki * factor, gains.kd * factor))
-
-
-def _put_back(found: Examination) -> None:
-    """Leave the device as it was, the lease free."""
     talk = found.talk
     found.chapter = "Changing gains"
     try:
@@ -115,3 +104,9 @@ def _put_back(found: Examination) -> None:
         talk.ack(talk.lease(samples=0))
     except NoAnswerError as error:
         found.findings.append(Finding(found.chapter, str(error)))
+    return found
+
+
+def near(gains: PidGains, factor: float) -> PidGains:
+    """A set a little off, as float32."""
+    return to_wire(PidGains(gains.kp * factor, gains.ki * factor, gains.kd * factor))

@@ -115,23 +115,17 @@ def swapping(found: Examination) -> None:
     if talk.known.gains != new or not (before or after):
         found.left_out.append("the swap in automatic: it does not take kp x 1.5")
         return
-    _no_jump(found, after, first, new, error, dt)
-    talk.write(first)
-    found.confirmed()
-
-
-def _no_jump(
-    found: Examination, after: list[wire.TelemetryPv], old: PidGains, new: PidGains, error: float, dt: float
-) -> None:
-    """co moves by what I and P do from the sample before the swap to that of the swap, not by the change of P."""
-    seen = found.talk.last_before(after[0].counter)
+    # co moves by what I and P do from the sample before the swap to that of the swap, not by the change of P
+    seen = talk.last_before(after[0].counter)
     if seen is None:
         found.left_out.append("the swap in automatic: the sample before it was lost")
-        return
-    led = old.ki * error * dt - old.kp * (after[0].pv - seen.pv)
-    jump = (new.kp - old.kp) * error
-    moved = after[0].co - seen.co - led
-    found.holds(f"co jumped by {moved:.3g} % in the sample of the swap", abs(moved) < 0.5 * abs(jump))
+    else:
+        led = first.ki * error * dt - first.kp * (after[0].pv - seen.pv)
+        jump = (new.kp - first.kp) * error
+        moved = after[0].co - seen.co - led
+        found.holds(f"co jumped by {moved:.3g} % in the sample of the swap", abs(moved) < 0.5 * abs(jump))
+    talk.write(first)
+    found.confirmed()
 
 
 def refusing(found: Examination) -> None:

@@ -247,7 +247,10 @@ class VirtualDevice:
                     self.pages.drop_staged()
                 return [answer]
             case wire.Abort():
-                return [self._fence(frame)]
+                answer = self.pages.abort(frame)
+                if answer.reason is wire.Reason.OK:
+                    self.code.renew()
+                return [answer]
             case wire.Stage() | wire.Commit() | wire.Auth() | wire.Confirm() | wire.Store():
                 return _some(self._change(frame))
             case wire.Setpoint() | wire.Mode() | wire.Load():
@@ -255,13 +258,6 @@ class VirtualDevice:
             case _:  # a frame that only devices send: another device under this node's number
                 self.refused += 1
                 return []
-
-    def _fence(self, frame: wire.Abort) -> wire.Ack:
-        """Fence a number off, and with it any code that was made for it: numbers come round again, codes must not."""
-        answer = self.pages.abort(frame)
-        if answer.reason is wire.Reason.OK:
-            self.code.renew()
-        return answer
 
     def _change(self, frame: wire.Stage | wire.Commit | wire.Auth | wire.Confirm | wire.Store) -> wire.Ack | None:
         """A step towards another running or stored set: for the owner of the lease alone."""

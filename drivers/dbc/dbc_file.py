@@ -112,7 +112,10 @@ class DbcFile:
         Raises ProfileError: there is none, or several of this name.
         """
         messages = self.database.messages
-        number = _identifier(name)
+        try:
+            number = int(name, 16) if name.lower().startswith("0x") else None
+        except ValueError:
+            number = None
         found = [m for m in messages if (m.frame_id == number if number is not None else m.name == name)]
         if len(found) == 1:
             layout = found[0]
@@ -216,13 +219,6 @@ def _page_of(layout: Layout, fixed: Mapping[str, float]) -> int | None:
         return None
     pages = sorted({page for signal in layout.signals for page in signal.multiplexer_ids or ()})
     return int(fixed.get(f"{layout.name}.{choice.name}", pages[0] if pages else 0))
-
-
-def _identifier(name: str) -> int | None:
-    try:
-        return int(name, 16) if name.lower().startswith("0x") else None
-    except ValueError:
-        return None
 
 
 def _there(names: Sequence[str], wanted: str) -> str:

@@ -39,9 +39,6 @@ class VirtualDbcDevice:
         self._on_request: set[Slot] = set()
         self._asked_by: list[tuple[AskFrame, Slot]] = []
         self._guards: dict[int, FrameGuard] = {}
-        self._describe()
-
-    def _describe(self) -> None:
         loop, mapping = self.loop, self._mapping
         self._send(mapping.pv, lambda: loop.pv)
         self._send(mapping.co, lambda: loop.co)
@@ -86,7 +83,22 @@ class VirtualDbcDevice:
         asked = list(dict.fromkeys(slot for ask, slot in self._asked_by if ask.is_asked_by(message)))
         if asked:
             return [self._frame(slot) for slot in asked]
-        self._obey(message)
+        written = {str(gain.quantity): gain.at for gain in self._mapping.gains}
+        if self._mapping.setpoint is not None:
+            written["setpoint"] = self._mapping.setpoint
+        found: dict[str, float] = {}
+        for name, at in written.items():
+            assert isinstance(at, SignalOf)
+            place = self._file.place(at.message, at.signal, (), at.scale, at.offset)
+            if (place.frame_id, place.layout.is_extended_frame) != (message.arbitration_id, message.is_extended_id):
+                continue
+            value = self._decoded(place, message)
+            if value is not None:
+                found[name] = place.scale * value + place.offset
+        if "setpoint" in found:
+            self.loop.sp = found.pop("setpoint")
+        if found:
+            self._take_gains(found)
         return []
 
     def _frame(self, slot: Slot) -> can.Message:
@@ -104,24 +116,6 @@ class VirtualDbcDevice:
             is_fd=place.layout.is_fd,
             data=guard.sealed(data) if guard is not None else data,
         )
-
-    def _obey(self, message: can.Message) -> None:
-        written = {str(gain.quantity): gain.at for gain in self._mapping.gains}
-        if self._mapping.setpoint is not None:
-            written["setpoint"] = self._mapping.setpoint
-        found: dict[str, float] = {}
-        for name, at in written.items():
-            assert isinstance(at, SignalOf)
-            place = self._file.place(at.message, at.signal, (), at.scale, at.offset)
-            if (place.frame_id, place.layout.is_extended_frame) != (message.arbitration_id, message.is_extended_id):
-                continue
-            value = self._decoded(place, message)
-            if value is not None:
-                found[name] = place.scale * value + place.offset
-        if "setpoint" in found:
-            self.loop.sp = found.pop("setpoint")
-        if found:
-            self._take_gains(found)
 
     def _decoded(self, place: SignalPlace, message: can.Message) -> float | None:
         try:

@@ -6,7 +6,7 @@ A signal is called as the DBC calls it where that names a loop (FIC101_PV); else
 a message FIC101 with a signal PV). Of a log that ends in damage what stands before it is taken, and told.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from pathlib import Path
 
@@ -55,7 +55,14 @@ def tables_of_traffic(path: Path, form: RecordForm) -> list[RawTable]:
     """
     messages, told = _messages(path, form), list[Assumption]()
     tables = []
-    for key, frames in _by_identifier(path, messages, told).items():
+    times: dict[Identifier, list[float]] = {}
+    data: dict[Identifier, list[bytes]] = {}
+    for frame in _whole_frames(path, told):
+        key = frame.arbitration_id, frame.is_extended_id
+        if key in messages:
+            times.setdefault(key, []).append(frame.t_s)
+            data.setdefault(key, []).append(frame.data)
+    for key, frames in {key: _frames(times[key], some, messages[key].length) for key, some in data.items()}.items():
         for signal, name in _names(messages[key]).items():
             called = form.called(name)
             asked = next((n for n in (called, name, signal) if n in form.others), "")
@@ -115,19 +122,6 @@ class _CanFrame:
     arbitration_id: int
     is_extended_id: bool
     data: bytes
-
-
-def _by_identifier(
-    path: Path, messages: Mapping[Identifier, Message], told: list[Assumption]
-) -> dict[Identifier, Frames]:
-    times: dict[Identifier, list[float]] = {}
-    data: dict[Identifier, list[bytes]] = {}
-    for frame in _whole_frames(path, told):
-        key = frame.arbitration_id, frame.is_extended_id
-        if key in messages:
-            times.setdefault(key, []).append(frame.t_s)
-            data.setdefault(key, []).append(frame.data)
-    return {key: _frames(times[key], some, messages[key].length) for key, some in data.items()}
 
 
 def _frames(times: Sequence[float], data: Sequence[bytes], length: int) -> Frames:

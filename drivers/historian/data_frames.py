@@ -58,21 +58,16 @@ def column_of(name: str, series: object) -> Column:
     if values.dtype.kind == "M":
         return values
     if values.dtype.kind == "O":
-        return _objects(name, values)
+        some = [v for v in values if v is not None]
+        if some and all(hasattr(v, "timestamp") for v in some):
+            return np.array(
+                ["NaT" if v is None else np.datetime64(int(v.timestamp() * 1e6), "us") for v in values],
+                dtype="datetime64[ns]",
+            )
+        if some and not any(isinstance(v, (str, bool)) for v in some):
+            try:
+                return np.array([np.nan if v is None else float(v) for v in values])
+            except (TypeError, ValueError):
+                raise RecordingError(f"column {name}: {some[0]!r} is neither a number nor a time nor text") from None
+        return ["" if v is None else str(v) for v in values]
     return [str(value) for value in values]
-
-
-def _objects(name: str, values: np.ndarray) -> Column:
-    """A column of Python's own objects: numbers and None, moments, decimals, or text."""
-    some = [v for v in values if v is not None]
-    if some and all(hasattr(v, "timestamp") for v in some):
-        return np.array(
-            ["NaT" if v is None else np.datetime64(int(v.timestamp() * 1e6), "us") for v in values],
-            dtype="datetime64[ns]",
-        )
-    if some and not any(isinstance(v, (str, bool)) for v in some):
-        try:
-            return np.array([np.nan if v is None else float(v) for v in values])
-        except (TypeError, ValueError):
-            raise RecordingError(f"column {name}: {some[0]!r} is neither a number nor a time nor text") from None
-    return ["" if v is None else str(v) for v in values]

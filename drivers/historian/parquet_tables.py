@@ -5,7 +5,7 @@ column or in a folder's name as tools write data sets (tag=FIC101.PV/part-0.parq
 their own, so that what follows need not look at millions of names. Row groups that hold no wanted signal are not read.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
@@ -125,7 +125,16 @@ def _called(path: Path, names: Sequence[str], form: RecordForm) -> tuple[str, ..
 def _long(path: Path, file: Any, at: tuple[str, str], form: RecordForm, tags: set[str]) -> list[RawTable]:  # noqa: ANN401
     """A table of its own for each signal of a long one; at : columns of the tag and of the value."""
     arrow, compute = import_module("pyarrow"), import_module("pyarrow.compute")
-    signals = _signals(path, _distinct(file, at[0]), form, tags)
+    names = _distinct(file, at[0])
+    signals: dict[str, str] = {}
+    for tag, roles in _loops(names, form).items():
+        if not tags or tag.lower() in tags:
+            for role in ("sp", "pv", "co", "mode"):
+                places = roles.get(role, [])
+                if len(places) > 1:
+                    both = " and ".join(names[place] for place in places[:2])
+                    raise RecordingError(f"{path}: {both} may both be {role} of {tag}; leave one out of the export")
+                signals |= {names[place]: f"{tag}.{role.upper()}" for place in places}
     beside = [n for n in file.schema_arrow.names if n not in at and (named(n).role or n in form.columns.values())]
     names = [at[0], at[1], *beside]
     wanted = arrow.array(list(signals), arrow.string())
@@ -143,23 +152,6 @@ def _long(path: Path, file: Any, at: tuple[str, str], form: RecordForm, tags: se
         columns = tuple(column_of(n, rows.column(n)) for n in [*beside, at[1]])
         tables.append(RawTable(str(path), (*beside, name), columns, RowNumbers(rows.num_rows)))
     return tables
-
-
-def _signals(path: Path, names: Sequence[str], form: RecordForm, tags: set[str]) -> Mapping[str, str]:
-    """The names of the wanted loops' signals, with the plain name of each.
-
-    Raises RecordingError: two names are the same signal of a loop.
-    """
-    signals: dict[str, str] = {}
-    for tag, roles in _loops(names, form).items():
-        if not tags or tag.lower() in tags:
-            for role in ("sp", "pv", "co", "mode"):
-                places = roles.get(role, [])
-                if len(places) > 1:
-                    both = " and ".join(names[place] for place in places[:2])
-                    raise RecordingError(f"{path}: {both} may both be {role} of {tag}; leave one out of the export")
-                signals |= {names[place]: f"{tag}.{role.upper()}" for place in places}
-    return signals
 
 
 def long_names(path: Path, form: RecordForm) -> list[str]:

@@ -90,12 +90,16 @@ def text_table(path: Path, text: str, assumed: tuple[Assumption, ...], form: Rec
     rows = _without_empty_columns(rows) if form.header != 0 else rows
     header, body, cut = _shape(path, rows, form)
     assumed += cut
-    names, told = _names(header, len(body[0][1]))
+    width = len(body[0][1])
+    if not header:
+        assumed += (Assumption("no header: columns are called 1, 2, ... in their order", "header = 0"),)
+    best = max(header, key=known_roles, default=[])
+    names = [name.strip().strip('"') or str(i + 1) for i, name in enumerate([*best, *[""] * (width - len(best))])]
     columns = tuple(zip(*(fields for _, fields in body), strict=True))
     places = [f":{number}" for number, _ in body]
     kept = set(form.columns.values())
-    names = tuple(name if name in kept else form.called(name) for name in names)
-    return RawTable(str(path), names, columns, places, (*assumed, *told), _time_units(header))
+    called = tuple(name if name in kept else form.called(name) for name in names)
+    return RawTable(str(path), called, columns, places, assumed, _time_units(header))
 
 
 def decoded(path: Path, form: RecordForm, most_bytes: int | None = None) -> tuple[str, tuple[Assumption, ...]]:
@@ -248,16 +252,6 @@ def _time_units(candidates: list[list[str]]) -> dict[int, str]:
     others = [row for row in candidates if row is not max(candidates, key=known_roles)]
     fields = [(place, text.strip("[]() ").lower()) for row in others for place, text in enumerate(row)]
     return {place: TIME_UNIT[unit] for place, unit in fields if unit in TIME_UNIT}
-
-
-def _names(candidates: list[list[str]], width: int) -> tuple[tuple[str, ...], tuple[Assumption, ...]]:
-    """The header: of the candidates the one that says most."""
-    if not candidates:
-        told = Assumption("no header: columns are called 1, 2, ... in their order", "header = 0")
-        return tuple(str(i + 1) for i in range(width)), (told,)
-    best = max(candidates, key=known_roles)
-    names = [name.strip().strip('"') for name in best] + [""] * (width - len(best))
-    return tuple(name or str(i + 1) for i, name in enumerate(names)), ()
 
 
 def repeated(table: RawTable, place: int) -> RecordingError | None:

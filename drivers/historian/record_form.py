@@ -138,21 +138,17 @@ def form_from_toml(path: Path) -> RecordForm:
         if name not in known:
             raise RecordingError(f"{path}: [record] {name}: no such key; there is {', '.join(known)}")
         if not _fits(name, value):
-            wrong = _wrong_entry(name, value)
+            if not isinstance(value, dict):
+                wrong = f"{name} = {value!r}"
+            else:
+                key, entry = next((key, entry) for key, entry in value.items() if not isinstance(entry, str))
+                wrong = f'{name} "{key}" = {entry!r}'
             raise RecordingError(f"{path}: [record] {wrong}: give {KINDS.get(name, 'text in quotes')}")
     try:
         given |= {name: tuple(given[name]) for name in ("bad", "dbc", "others") if name in given}
         return replace(RecordForm(), **given)
     except ValueError as error:
         raise RecordingError(f"{path}: [record] {error}") from error
-
-
-def _wrong_entry(name: str, value: object) -> str:
-    """A key and its value; of a section with hundreds of names the first that is wrong."""
-    if not isinstance(value, dict):
-        return f"{name} = {value!r}"
-    key, entry = next((key, entry) for key, entry in value.items() if not isinstance(entry, str))
-    return f'{name} "{key}" = {entry!r}'
 
 
 KINDS = MappingProxyType(

@@ -45,8 +45,13 @@ def annotated_table(source: str, text: str) -> RawTable:
             rows += _values(source, [(number, next(csv.reader([line]))) for number, line in block])
     if not rows:
         raise RecordingError(f"{source}: has annotations but no values")
-    names = _short(sorted({name for _, _, name, _ in rows}))
-    columns = ([r[0] for r in rows], [r[1] for r in rows], [names[r[2]] for r in rows])
+    names = sorted({name for _, _, name, _ in rows})
+    parts = [name.split("\0") for name in names]
+    if len({len(p) for p in parts}) == 1:  # parts that are the same in all are left out
+        telling = [i for i in range(len(parts[0])) if len({p[i] for p in parts}) > 1] or [len(parts[0]) - 1]
+        parts = [[p[i] for i in telling] for p in parts]
+    short = {name: ".".join(filter(None, p)) for name, p in zip(names, parts, strict=True)}
+    columns = ([r[0] for r in rows], [r[1] for r in rows], [short[r[2]] for r in rows])
     return RawTable(source, LONG, columns, [r[3] for r in rows], (Assumption("annotated CSV of InfluxDB"),))
 
 
@@ -76,16 +81,6 @@ def _own_fields(head: Sequence[str], block: Lines) -> list[int]:
     """The columns of values of a table that was pivoted: all that are no part of the group key."""
     group = next((fields for _, fields in block if fields[0] == "#group"), ["false"] * len(head))
     return [i for i, name in enumerate(head) if name not in INFLUX_OWN and name[:1] != "_" and group[i] != "true"]
-
-
-def _short(names: Sequence[str]) -> dict[str, str]:
-    """Names of the series by what tells them apart: parts that are the same in all are left out."""
-    parts = [name.split("\0") for name in names]
-    if len({len(p) for p in parts}) > 1:
-        return {name: ".".join(filter(None, p)) for name, p in zip(names, parts, strict=True)}
-    telling = [i for i in range(len(parts[0])) if len({p[i] for p in parts}) > 1]
-    telling = telling or [len(parts[0]) - 1]
-    return {name: ".".join(p[i] for i in telling if p[i]) for name, p in zip(names, parts, strict=True)}
 
 
 def unpaired(table: RawTable) -> RawTable:

@@ -68,7 +68,8 @@ def signals_of(table: RawTable, form: RecordForm, *, in_automatic: bool = False)
     found = loops(table.names)
     plain = found.get("", {})
     told = list(table.assumed)
-    if _is_long(plain, found, form):
+    named_so = {"tag", "value"} <= {*plain, *form.columns}
+    if named_so and not any({"pv", "co"} & roles.keys() for roles in found.values()):
         return _long(table, plain, form, told)
     wanted = _signal_places(table, found, form)
     if not any(wanted.values()):
@@ -93,11 +94,6 @@ def signals_of(table: RawTable, form: RecordForm, *, in_automatic: bool = False)
                 raise
             refused[tag] = error
     return TableSignals(table.source, known, tuple(told), refused, own)
-
-
-def _is_long(plain: Mapping[str, list[int]], found: Mapping[str, Mapping[str, list[int]]], form: RecordForm) -> bool:
-    named_so = {"tag", "value"} <= {*plain, *form.columns}
-    return named_so and not any({"pv", "co"} & roles.keys() for roles in found.values())
 
 
 def _column(table: RawTable, role: str, form: RecordForm, otherwise: Sequence[int]) -> int | None:
@@ -210,7 +206,12 @@ def _stamps(
     if text and _written_out(text):
         apart = table.columns[date] if date is not None and "-" not in text[0] and text[0].count(":") else None
         return from_text(text, [str(d) for d in apart] if apart is not None else None, form, table.source, begins)
-    return _counted(table, place, decimal, form)
+    name, beside = table.names[place], table.time_units.get(place, "")
+    values, unit = numbers(table, place, decimal, form), TIME_UNIT.get(named(name).unit, "")
+    if unit or form.time_unit or not beside:
+        return from_numbers(values, name, unit, form)
+    told = Assumption(f"time {quoted(name)} in {beside}, of the row of units", f'time_unit = "{beside}"')
+    return replace(from_numbers(values, name, beside, form), assumed=(told,))
 
 
 def _seconds(moments: npt.NDArray[Any]) -> FloatArray:
@@ -221,16 +222,6 @@ def _seconds(moments: npt.NDArray[Any]) -> FloatArray:
     t_s: FloatArray = moments.view(np.int64) / (TICKS[unit] / many)
     missing = np.isnat(moments)
     return np.where(missing, np.nan, t_s) if missing.any() else t_s
-
-
-def _counted(table: RawTable, place: int, decimal: str, form: RecordForm) -> Stamps:
-    """Times as numbers, in the unit that the column's name or a row of units tells."""
-    name, beside = table.names[place], table.time_units.get(place, "")
-    values, unit = numbers(table, place, decimal, form), TIME_UNIT.get(named(name).unit, "")
-    if unit or form.time_unit or not beside:
-        return from_numbers(values, name, unit, form)
-    told = Assumption(f"time {quoted(name)} in {beside}, of the row of units", f'time_unit = "{beside}"')
-    return replace(from_numbers(values, name, beside, form), assumed=(told,))
 
 
 def _refuse_other_clocks(table: RawTable, times: Sequence[int]) -> None:
@@ -367,23 +358,7 @@ def _long(table: RawTable, plain: Mapping[str, list[int]], form: RecordForm, tol
     known: dict[str, dict[str, OneSignal]] = {}
     own: dict[str, tuple[Assumption, ...]] = {}
     told += [*mark, *stamps.assumed]
-    for tag, role, name in _signals_named(table, sorted(set(tags)), form):
-        of_it = np.flatnonzero(tags == name)
-        its = _rows(table, of_it)
-        _tell_unit(its, value_at, role, told)
-        values = numbers(its, value_at, decimal, form)
-        fine = np.isfinite(values) & good_rows[of_it]
-        rows, t_s, more = in_order(stamps.t_s[of_it[fine]], table.source)
-        known.setdefault(tag, {})[role] = OneSignal(t_s, values[fine][rows])
-        own[tag] = (*own.get(tag, ()), *more, Assumption(f"{role} is {quoted(name)}"))
-    return TableSignals(table.source, known, tuple(told), of_loop=own)
-
-
-def _signals_named(table: RawTable, names: Sequence[str], form: RecordForm) -> list[tuple[str, str, str]]:
-    """Tag, role and name of the signals among the names of a long table.
-
-    Raises RecordingError: two names are the same signal of a loop.
-    """
+    names = sorted(set(tags))
     found = []
     for tag, roles in loops([form.called(name) for name in names]).items():
         if form.tag and tag.lower() != form.tag.lower():
@@ -395,9 +370,14 @@ def _signals_named(table: RawTable, names: Sequence[str], form: RecordForm) -> l
                 raise RecordingError(f"{table.source}: {both} may both be {role} of {tag}; leave one out of the export")
             found += [(tag, role, names[place]) for place in places]
     taken = {name for *_, name in found}
-    return found + [("", name, name) for name in form.others if name in names and name not in taken]
-
-
-def _rows(table: RawTable, rows: np.ndarray) -> RawTable:
-    columns = tuple(c[rows] if isinstance(c, np.ndarray) else [c[row] for row in rows] for c in table.columns)
-    return replace(table, columns=columns, places=[table.places[row] for row in rows])
+    for tag, role, name in found + [("", name, name) for name in form.others if name in names and name not in taken]:
+        of_it: np.ndarray = np.flatnonzero(tags == name)
+        columns = tuple(c[of_it] if isinstance(c, np.ndarray) else [c[row] for row in of_it] for c in table.columns)
+        its = replace(table, columns=columns, places=[table.places[row] for row in of_it])
+        _tell_unit(its, value_at, role, told)
+        values = numbers(its, value_at, decimal, form)
+        fine = np.isfinite(values) & good_rows[of_it]
+        rows, t_s, more = in_order(stamps.t_s[of_it[fine]], table.source)
+        known.setdefault(tag, {})[role] = OneSignal(t_s, values[fine][rows])
+        own[tag] = (*own.get(tag, ()), *more, Assumption(f"{role} is {quoted(name)}"))
+    return TableSignals(table.source, known, tuple(told), of_loop=own)

@@ -311,7 +311,13 @@ def _timed(
             continue
         moment = read(text)
         zoned = zoned or moment.tzinfo is not None
-        found[i] = last = _seconds(moment, zone, last)
+        if moment.tzinfo is None and zone is None:
+            found[i] = last = (moment.replace(tzinfo=UTC) - EPOCH).total_seconds()
+        elif moment.tzinfo is not None:
+            found[i] = last = (moment - EPOCH).total_seconds()
+        else:
+            early, late = ((moment.replace(tzinfo=zone, fold=fold) - EPOCH).total_seconds() for fold in (0, 1))
+            found[i] = last = late if early <= last < late else early
     if not zoned and any(_hour_comes_twice(piece) for piece in np.split(found, sorted(first))):
         raise RecordingError(f"{source}: the clock goes back by one hour; give --zone, for example Europe/Berlin")
     return found
@@ -322,16 +328,6 @@ def _hour_comes_twice(t_s: FloatArray) -> bool:
     known = t_s[np.isfinite(t_s)]
     back = np.diff(known)[np.diff(known) < 0]
     return len(back) == 1 and bool(back[0] >= -HOUR_S) and bool(known[-1] > np.max(known[:-1]))
-
-
-def _seconds(moment: datetime, zone: tzinfo | None, last: float) -> float:
-    """Seconds since 1970; of the two hours of one name in autumn the one that goes on after the last stamp."""
-    if moment.tzinfo is None and zone is None:
-        return (moment.replace(tzinfo=UTC) - EPOCH).total_seconds()
-    if moment.tzinfo is not None:
-        return (moment - EPOCH).total_seconds()
-    early, late = ((moment.replace(tzinfo=zone, fold=fold) - EPOCH).total_seconds() for fold in (0, 1))
-    return late if early <= last < late else early
 
 
 def seconds(t: Times) -> npt.NDArray[np.float64]:

@@ -233,7 +233,9 @@ class WriteProtocol:
         self._tries += 1
         match self.phase:
             case WritePhase.STAGING:
-                return self._stage(self._order)
+                self._staged_right = False  # what is sent again is read back again
+                challenge = [self._reader.ask(wire.Page.CHALLENGE)] if self._order.key is not None else []
+                return [*self._order.stage(), self._reader.ask(wire.Page.STAGED), *challenge]
             case WritePhase.COMMITTING:
                 return self._order.commit(self._nonce)
             case WritePhase.FENCING:
@@ -262,12 +264,6 @@ class WriteProtocol:
         """Whether nothing has been sent yet that could make the set run, and this has not happened too often."""
         unsent = self.phase is WritePhase.COMMITTING and self._tries == 0
         return self._claims < CLAIMS and (unsent or self.phase in {WritePhase.STAGING, WritePhase.CLAIMING})
-
-    def _stage(self, order: WriteOrder) -> list[wire.Frame]:
-        """Gains, the question how they stand there, and with a key the question for the challenge."""
-        self._staged_right = False  # what is sent again is read back again
-        challenge = [self._reader.ask(wire.Page.CHALLENGE)] if order.key is not None else []
-        return [*order.stage(), self._reader.ask(wire.Page.STAGED), *challenge]
 
     def _time_out(self) -> None:
         if self._tries < TRIES.get(self.phase, self._tries + 1):

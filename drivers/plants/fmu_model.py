@@ -34,7 +34,28 @@ class FmuModel:
 
     def __init__(self, spec: ModelSpec) -> None:
         self._spec = spec
-        self._about, self._interface = _described(spec)
+        try:
+            about = fmpy.read_model_description(spec.source, validate=False)
+        except FileNotFoundError:
+            raise PlantFaultError(f'= "{spec.source}": there is no such file', "file") from None
+        except Exception as error:  # noqa: BLE001  FMPy raises what its parts raise
+            raise PlantFaultError(f'= "{spec.source}" cannot be read as an FMU: {error}', "file") from None
+        if about.fmiVersion == "1.0":
+            raise PlantFaultError(f'= "{spec.source}" is FMI 1.0; export it as FMI 2 or 3', "file")
+        has = {CO_SIMULATION: about.coSimulation, MODEL_EXCHANGE: about.modelExchange}
+        offered = [name for name, one in has.items() if one is not None]
+        interface = spec.interface or (offered or [""])[0]
+        if interface not in offered:
+            raise PlantFaultError(
+                f"the FMU has no {spec.interface or 'interface for it'}; it has {' and '.join(offered) or 'none'}",
+                "interface",
+            )
+        platforms = fmpy.supported_platforms(spec.source)
+        if fmpy.platform not in platforms and fmpy.platform_tuple not in platforms:
+            raise PlantFaultError(
+                f"the FMU is for {', '.join(platforms)}, this machine is {fmpy.platform_tuple}", "file"
+            )
+        self._about, self._interface = about, interface
         self._known = {one.name: one for one in self._about.modelVariables}
         self._inputs = [self._place(name, "input") for name in spec.inputs or self._only("input")]
         self._outputs = [self._place(name, "output") for name in spec.outputs or self._only("output")]
@@ -196,30 +217,6 @@ class _Held:
 
     def apply(self, t_s: float) -> None:
         """Do nothing."""
-
-
-def _described(spec: ModelSpec) -> tuple[Any, str]:
-    """The unit's description, and which of its interfaces is used."""
-    try:
-        about = fmpy.read_model_description(spec.source, validate=False)
-    except FileNotFoundError:
-        raise PlantFaultError(f'= "{spec.source}": there is no such file', "file") from None
-    except Exception as error:  # noqa: BLE001  FMPy raises what its parts raise
-        raise PlantFaultError(f'= "{spec.source}" cannot be read as an FMU: {error}', "file") from None
-    if about.fmiVersion == "1.0":
-        raise PlantFaultError(f'= "{spec.source}" is FMI 1.0; export it as FMI 2 or 3', "file")
-    has = {CO_SIMULATION: about.coSimulation, MODEL_EXCHANGE: about.modelExchange}
-    offered = [name for name, one in has.items() if one is not None]
-    interface = spec.interface or (offered or [""])[0]
-    if interface not in offered:
-        raise PlantFaultError(
-            f"the FMU has no {spec.interface or 'interface for it'}; it has {' and '.join(offered) or 'none'}",
-            "interface",
-        )
-    platforms = fmpy.supported_platforms(spec.source)
-    if fmpy.platform not in platforms and fmpy.platform_tuple not in platforms:
-        raise PlantFaultError(f"the FMU is for {', '.join(platforms)}, this machine is {fmpy.platform_tuple}", "file")
-    return about, interface
 
 
 def _shown(variable: Any, given: object = None) -> str:  # noqa: ANN401  FMPy's

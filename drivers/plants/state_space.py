@@ -90,20 +90,16 @@ class _Copy:
         while end - at > rounding:
             until = min(times[i + 1], end) if i + 1 < len(times) else end
             if until - at > rounding:
-                phi, gamma = self._over(until - at)
+                key = float(f"{(until - at):.{DIGITS - 1}e}")
+                if key not in self._known:
+                    if len(self._known) >= STEPS_KEPT:
+                        self._known.clear()
+                    self._known[key] = held_over(self._a, self._b, key)
+                phi, gamma = self._known[key]
                 self.last = held[i]
                 self.x = phi @ self.x + gamma @ self.last
                 at = until
             i += 1
-
-    def _over(self, h: float) -> tuple[FloatArray, FloatArray]:
-        """exp(A h) and its integral times B (Van Loan's augmented exponential)."""
-        key = float(f"{h:.{DIGITS - 1}e}")
-        if key not in self._known:
-            if len(self._known) >= STEPS_KEPT:
-                self._known.clear()
-            self._known[key] = held_over(self._a, self._b, key)
-        return self._known[key]
 
 
 def _matrix(name: str, rows: Rows, height: int, width: int) -> FloatArray:

@@ -157,21 +157,16 @@ class GainCourse:
     def _time_out(self) -> None:
         phase = self.machine.phase
         if phase is CoursePhase.WRITING and not self._acknowledges and not self._reads_back:
-            self._sent()
+            if not (self._tries < SENDINGS):
+                if self._at + 1 < len(self._steps):
+                    self._at, self._tries = self._at + 1, 0
+                else:
+                    self._move(CourseInput.TAKEN)
+                    self._move(CourseInput.LAST)
+                    self.outcome = CourseEnd(True, self._new, "")
             return
         self.reason = self.reason or "no answer"
         self._move(CourseInput.AGAIN if self._tries < TRIES.get(phase, self._tries + 1) else CourseInput.EXHAUSTED)
-
-    def _sent(self) -> None:
-        """Without read-back: sent once more; the last time it is believed."""
-        if self._tries < SENDINGS:
-            return
-        if self._at + 1 < len(self._steps):
-            self._at, self._tries = self._at + 1, 0
-        else:
-            self._move(CourseInput.TAKEN)
-            self._move(CourseInput.LAST)
-            self.outcome = CourseEnd(True, self._new, "")
 
     def on_acknowledged(self, name: str) -> None:
         """A number was taken."""
@@ -206,29 +201,25 @@ class GainCourse:
         """The whole set was read, after it was asked for here."""
         phase = self.machine.phase
         if phase is CoursePhase.CHECKING:
-            self._check(numbers)
+            step = self._steps[self._at]
+            wrong = [name for name in step if numbers[name] != step[name]]
+            if wrong:
+                self.reason = f"{wrong[0]} was read back as {numbers[wrong[0]]:.9g}, written was {step[wrong[0]]:.9g}"
+                return  # it is asked again, and written again, when its time is over
+            so_far = {**self._old, **{name: one[name] for one in self._steps[: self._at + 1] for name in one}}
+            if any(numbers[name] != so_far[name] for name in self._new):
+                self.reason = "gains were changed by someone else meanwhile"
+                self._move(CourseInput.EXHAUSTED)
+            elif self._at + 1 < len(self._steps):
+                self._at += 1
+                self._move(CourseInput.NEXT)
+            else:
+                self._move(CourseInput.LAST)
+                self.outcome = CourseEnd(True, dict(numbers), "")
         elif phase is CoursePhase.READING and self._tries > 0:
             self._move(CourseInput.READ)
             done = all(numbers[name] == self._new[name] for name in self._new)
             self.outcome = CourseEnd(done, dict(numbers), self.reason or "no answer")
-
-    def _check(self, numbers: Numbers) -> None:
-        """The message just written, as it was read back; whatever else was proved has to stand as well."""
-        step = self._steps[self._at]
-        wrong = [name for name in step if numbers[name] != step[name]]
-        if wrong:
-            self.reason = f"{wrong[0]} was read back as {numbers[wrong[0]]:.9g}, written was {step[wrong[0]]:.9g}"
-            return  # it is asked again, and written again, when its time is over
-        so_far = {**self._old, **{name: one[name] for one in self._steps[: self._at + 1] for name in one}}
-        if any(numbers[name] != so_far[name] for name in self._new):
-            self.reason = "gains were changed by someone else meanwhile"
-            self._move(CourseInput.EXHAUSTED)
-        elif self._at + 1 < len(self._steps):
-            self._at += 1
-            self._move(CourseInput.NEXT)
-        else:
-            self._move(CourseInput.LAST)
-            self.outcome = CourseEnd(True, dict(numbers), "")
 
     def unknown(self) -> str:
         """Why what runs is not known, once, when nobody has answered for a while; else nothing."""

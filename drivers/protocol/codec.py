@@ -13,7 +13,7 @@ retuner.dbc needs: little-endian signals, whole numbers with a linear scale, flo
 import logging
 import struct
 import zlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from enum import StrEnum
 from functools import lru_cache
 from importlib.resources import files
@@ -103,7 +103,15 @@ class BitLayout:
                 pieces[-1] = _Piece(before.start, last + 1 - before.start, (*before.signals, signal), True)
             else:
                 pieces.append(_Piece(first, last + 1 - first, (signal,), not _is_plain(signal)))
-        self._struct = struct.Struct("<" + _codes(pieces, layout.length))
+        code, at = "", 0
+        for piece in pieces:
+            signal = piece.signals[0]
+            letter = CODES.get(8 * piece.length, f"{piece.length}s")
+            if not piece.is_group or (piece.is_alone and len(letter) == 1):
+                letter = "f" if signal.is_float else letter.lower() if signal.is_signed else letter
+            code += "x" * (piece.start - at) + letter
+            at = piece.start + piece.length
+        self._struct = struct.Struct("<" + (code + "x" * (layout.length - at)))
         self._plain = tuple((i, place[p.signals[0].name]) for i, p in enumerate(pieces) if not p.is_group)
         groups = [(i, p) for i, p in enumerate(pieces) if p.is_group and not p.is_alone]
         self._wide = tuple((i, p.length) for i, p in groups if 8 * p.length not in CODES)
@@ -198,19 +206,6 @@ def _reach(signal: Signal) -> tuple[float, float]:
 def _is_plain(signal: Signal) -> bool:
     unscaled = (signal.scale, signal.offset) == (1, 0)
     return signal.is_float or (unscaled and signal.start % 8 == 0 and signal.length in CODES)
-
-
-def _codes(pieces: Iterable[_Piece], length: int) -> str:
-    """What the struct module calls them; what lies between them is padding."""
-    code, at = "", 0
-    for piece in pieces:
-        signal = piece.signals[0]
-        letter = CODES.get(8 * piece.length, f"{piece.length}s")
-        if not piece.is_group or (piece.is_alone and len(letter) == 1):
-            letter = "f" if signal.is_float else letter.lower() if signal.is_signed else letter
-        code += "x" * (piece.start - at) + letter
-        at = piece.start + piece.length
-    return code + "x" * (length - at)
 
 
 def _alone(slot: int, piece: _Piece, place: int) -> _Alone:

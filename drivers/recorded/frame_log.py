@@ -55,7 +55,16 @@ def read_frames(path: Path) -> Iterator[can.Message]:
     Raises RecordingError: no such file, a format that cannot be read here, or damage; the line says after how many
     frames.
     """
-    _check(path)
+    try:
+        there, size = path.is_file(), path.stat().st_size if path.is_file() else 0
+    except (OSError, ValueError) as error:
+        raise RecordingError(f"{path}: cannot be read: {error}") from error
+    if not there:
+        raise RecordingError(f"{path}: no such file; give a log of bus traffic ({', '.join(SUFFIXES)})")
+    if not is_frame_log(path):
+        raise RecordingError(f"{path}: not a format of bus traffic; give {', '.join(SUFFIXES)}")
+    if size > SIZE_MAX:
+        raise RecordingError(f"{path}: {size} bytes are more than {SIZE_MAX}; cut the log into pieces")
     count = 0
     errors = READING_ERRORS + (mf4_errors() if path.suffix.lower() == ".mf4" else ())
     try:
@@ -74,20 +83,6 @@ def read_parts(path: Path) -> Iterator[can.Message]:
     """The frames of all parts that are there of a log (bus_opening.py), oldest first; errors as read_frames."""
     for part in log_parts(path).paths:
         yield from read_frames(part)
-
-
-def _check(path: Path) -> None:
-    """Refuse what is no file of a sensible size, or of a format that is not known."""
-    try:
-        there, size = path.is_file(), path.stat().st_size if path.is_file() else 0
-    except (OSError, ValueError) as error:
-        raise RecordingError(f"{path}: cannot be read: {error}") from error
-    if not there:
-        raise RecordingError(f"{path}: no such file; give a log of bus traffic ({', '.join(SUFFIXES)})")
-    if not is_frame_log(path):
-        raise RecordingError(f"{path}: not a format of bus traffic; give {', '.join(SUFFIXES)}")
-    if size > SIZE_MAX:
-        raise RecordingError(f"{path}: {size} bytes are more than {SIZE_MAX}; cut the log into pieces")
 
 
 # ---- The samples of one controller out of recorded bus traffic: what a host heard then, or could have heard.

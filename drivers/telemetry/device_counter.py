@@ -43,14 +43,6 @@ class DeviceCounter:
         """Contact was lost: the next heartbeat may be anywhere."""
         self.newest = None
 
-    def _rhythm(self) -> int:
-        """Samples beyond the newest heartbeat that telemetry may have come to."""
-        beats = self._beats
-        if beats[-1] - beats[0] < LONGEST_BEAT:
-            return LONGEST_BEAT
-        widest: int = max(map(sub, islice(beats, 1, None), beats))
-        return max(BEATS_LOST * min(widest, LONGEST_BEAT), SHORTEST_REACH)
-
     def beyond(self, sample: int) -> bool:
         """Whether telemetry of this sample is further than the heartbeats have said."""
         return self.newest is None or sample > self.newest + self._reach
@@ -65,17 +57,19 @@ class DeviceCounter:
         leap, self._leap = self._leap, None
         if sample <= self.newest:
             return Said.CONTRADICTS if leap is not None or sample < self.newest - REMEMBERED // 2 else Said.AGREES
-        if sample > max(self.newest, last or 0) + self._reach and not self._agrees(leap, sample):
+        if sample > max(self.newest, last or 0) + self._reach and not (
+            leap is not None and leap < sample <= leap + BEATS_LOST * LONGEST_BEAT
+        ):
             self._leap = sample
             return Said.WAITS
         self.newest = sample
         self._beats.append(sample)
         while sample - self._beats[0] > REMEMBERED:
             self._beats.popleft()
-        self._reach = self._rhythm()
+        beats = self._beats
+        if beats[-1] - beats[0] < LONGEST_BEAT:
+            self._reach = LONGEST_BEAT
+        else:
+            widest: int = max(map(sub, islice(beats, 1, None), beats))
+            self._reach = max(BEATS_LOST * min(widest, LONGEST_BEAT), SHORTEST_REACH)
         return Said.CONTRADICTS if leap is not None and leap > sample else Said.AGREES
-
-    @staticmethod
-    def _agrees(leap: int | None, sample: int) -> bool:
-        """Whether two heartbeats in a row stand for one counter far ahead."""
-        return leap is not None and leap < sample <= leap + BEATS_LOST * LONGEST_BEAT

@@ -51,7 +51,18 @@ def process_of(system: System, theta_s: float = 0.0) -> LinearProcess:
     """
     package = type(system).__module__.split(".")[0]
     if package == "scipy":
-        return _of_scipy(system, theta_s)
+        if system.dt is not None:
+            raise ValueError(f"the system is sampled every {system.dt:g} s; give the continuous one")
+        from scipy.signal import BadCoefficients  # noqa: PLC0415  imported already by whoever made the system
+
+        with warnings.catch_warnings():
+            # leading zeros of a state-space numerator, trimmed by scipy
+            warnings.simplefilter("ignore", BadCoefficients)
+            zpk = system.to_zpk()
+        gain = np.atleast_1d(np.asarray(zpk.gain, dtype=np.float64))
+        if gain.size != 1 or np.ndim(zpk.zeros) != 1:
+            raise ValueError("the system has several inputs or outputs; give one channel")
+        return from_roots(zpk.zeros, zpk.poles, float(gain[0]), theta_s)
     if package == "control":
         # Zeros, poles, and the gain from the system's value at one real s
         if not system.isctime():
@@ -62,24 +73,9 @@ def process_of(system: System, theta_s: float = 0.0) -> LinearProcess:
         sizes = np.abs(np.concatenate([zeros, poles]))
         sizes = sizes[sizes > 0]
         s = WHERE * float(np.exp(np.mean(np.log(sizes)))) if sizes.size else 1.0
-        gain = complex(np.squeeze(system(s))) * np.prod(s - poles) / np.prod(s - zeros)
-        return from_roots(zeros, poles, float(np.real(gain)), theta_s)
+        at_s = complex(np.squeeze(system(s))) * np.prod(s - poles) / np.prod(s - zeros)
+        return from_roots(zeros, poles, float(np.real(at_s)), theta_s)
     raise TypeError(f"{type(system).__name__} is neither a scipy.signal nor a python-control system")
-
-
-def _of_scipy(system: System, theta_s: float) -> LinearProcess:
-    """ZerosPolesGain loses nothing; the others go through it."""
-    if system.dt is not None:
-        raise ValueError(f"the system is sampled every {system.dt:g} s; give the continuous one")
-    from scipy.signal import BadCoefficients  # noqa: PLC0415  imported already by whoever made the system
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", BadCoefficients)  # leading zeros of a state-space numerator, trimmed by scipy
-        zpk = system.to_zpk()
-    gain = np.atleast_1d(np.asarray(zpk.gain, dtype=np.float64))
-    if gain.size != 1 or np.ndim(zpk.zeros) != 1:
-        raise ValueError("the system has several inputs or outputs; give one channel")
-    return from_roots(zpk.zeros, zpk.poles, float(gain[0]), theta_s)
 
 
 def to_scipy(thing: Thing, pade_order: int = PADE_ORDER) -> "ScipyFunction":

@@ -337,7 +337,9 @@ def table_of(found: Design, name: str, unit: str) -> GainTable | None:
     if found.layout is None:
         return None
     first = _axis(found.variable, unit, found.layout.edges, found.hysteresis, found.min_stay_s)
-    second, names = None, _region_names(len(found.layout.sets))
+    n = len(found.layout.sets)
+    few = {1: ("all",), 2: ("low", "high"), 3: ("low", "middle", "high")}
+    second, names = None, few.get(n, tuple(f"part {i + 1}" for i in range(n)))
     if isinstance(found.layout, Cells):
         second = _axis(found.second, "", found.layout.edges2, found.second_hysteresis, found.min_stay_s)
         names = tuple(f"{i + 1}-{j + 1}" for i in range(len(first)) for j in range(len(second)))
@@ -380,12 +382,6 @@ def at_limits(windows: Sequence[Window], co_range: tuple[float | None, float | N
             runs = np.diff(np.flatnonzero(np.diff(np.concatenate([[False], there, [False]]))))[::2]
             stood += int(np.sum(runs[runs >= STANDS]))
     return stood / sum(len(w.t_s) for w in windows)
-
-
-def _region_names(n: int) -> tuple[str, ...]:
-    """Names as people give them: low, middle, high; numbers where there are more."""
-    few = {1: ("all",), 2: ("low", "high"), 3: ("low", "middle", "high")}
-    return few.get(n, tuple(f"part {i + 1}" for i in range(n)))
 
 
 def _rounded(value: float, digits: int = DIGITS) -> float:

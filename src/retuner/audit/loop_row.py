@@ -75,7 +75,8 @@ def audit_task(task: Task, settings: AuditSettings) -> list[Row]:
         broken: list[RecordingError] = []
         row = _row(task.tags[0], _each_by_itself(task, settings, broken), settings, common_clock=False)
         told = [f"left out: {error}" for error in broken]
-        return [row if "failed" in row else row | {"assumed": [*_listed(row["assumed"]), *told]}]
+        value = row["assumed"]
+        return [row if "failed" in row else row | {"assumed": [*(value if isinstance(value, list) else []), *told]}]
     if task.in_pieces:
         return [_row(tag, loop_in_pieces(task.files, settings.form, tag, MOST_ROWS), settings) for tag in task.tags]
     try:
@@ -91,10 +92,6 @@ def _the_only(read: LoopRecord | RecordingError) -> Iterator[LoopRecord]:
     if isinstance(read, RecordingError):
         raise read
     yield read
-
-
-def _listed(value: object) -> list[object]:
-    return value if isinstance(value, list) else []
 
 
 def _each_by_itself(task: Task, settings: AuditSettings, broken: list[RecordingError]) -> Iterator[LoopRecord]:

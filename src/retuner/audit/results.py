@@ -105,7 +105,13 @@ def ranked(rows: Iterable[Row], before: Sequence[Row] = ()) -> tuple[list[Row], 
         listed.append({k: v for k, v in row.items() if k not in NOT_LISTED})
         swinging += [swing] if swing is not None else []
         trends |= {str(row["tag"]): trend} if trend is not None else {}
-    again = _exported_twice(listed, twins(trends))
+    found = twins(trends)
+    by_tag = {str(row["tag"]): row for row in listed}
+    again = {tag for tag, other in found.items() if mean_error(by_tag[tag]) == mean_error(by_tag[other])}
+    for tag in again:
+        row = by_tag[tag]
+        row["action"], row["rank"], row["settings"] = f"{AGAIN} {found[tag]}", 0.0, None
+        row["reason"] = f"{found[tag]} has the same values at the same times: exported twice"
     damped, swinging = ([one for one in some if one.tag not in again] for some in (damped, swinging))
     groups = [*interactions(damped), *common_swings(swinging)]
     masters = cascades({tag: trend for tag, trend in trends.items() if tag not in again})
@@ -122,22 +128,24 @@ def ranked(rows: Iterable[Row], before: Sequence[Row] = ()) -> tuple[list[Row], 
         if before:
             row["change"] = change(row, earlier.get(str(row["tag"])))
     _from_the_root(listed, group_of)
-    _in_order(listed)
+    by_tag = {str(row["tag"]): row for row in listed}
+    for row in listed:
+        sick = [tag for tag in (row["slaves"] if isinstance(row["slaves"], list) else []) if is_fault(by_tag[tag])]
+        if sick and is_fault(row):
+            row["action"] = f"its slave {sick[0]} first, then {row['action']}"
+            row["rank"] = 0.5 * _number(row, "rank")
+        if row["interaction"] and row["cause"] in {str(Cause.EXTERNAL), str(Cause.UNKNOWN)}:
+            others = row["swings_with"] if isinstance(row["swings_with"], list) else []
+            row["action"] = f"swings against {', '.join(map(str, others[:3]))}: slow one of them down"
+        elif row["interaction"] and row["cause"] in {str(cause) for cause in OWN_SWING}:
+            held = row["swings_with"]
+            against = ", ".join(map(str, held[:3])) if isinstance(held, list) else ""
+            row["reason"] = f"it and {against} act on each other: both oscillate after every upset. {row['reason']}"
+            row["action"], row["settings"] = f"swings against {against}: slow one of them down", None
     listed.sort(key=lambda row: (-_number(row, "rank"), str(row["tag"])))
     for place, row in enumerate(listed, start=1):
         row["place"] = place
     return listed, groups
-
-
-def _exported_twice(rows: Sequence[Row], found: Mapping[str, str]) -> set[str]:
-    """Loops that are others' records under another tag: they are told once, and are in no group."""
-    by_tag = {str(row["tag"]): row for row in rows}
-    again = {tag for tag, other in found.items() if mean_error(by_tag[tag]) == mean_error(by_tag[other])}
-    for tag in again:
-        row = by_tag[tag]
-        row["action"], row["rank"], row["settings"] = f"{AGAIN} {found[tag]}", 0.0, None
-        row["reason"] = f"{found[tag]} has the same values at the same times: exported twice"
-    return again
 
 
 def _tracks(row: Row) -> tuple[Swinging | None, TrendTrack | None]:
@@ -190,24 +198,6 @@ def _from_the_root(rows: Sequence[Row], group_of: Mapping[str, CommonSwing]) -> 
             root = by_tag[group.root]
             root["rank"] = _number(root, "rank") + _number(row, "rank")
             root["upsets"] = int(_number(root, "upsets")) + 1
-
-
-def _in_order(rows: Sequence[Row]) -> None:
-    """The slave of a cascade comes before its master; of loops that swing against each other one is slowed down."""
-    by_tag = {str(row["tag"]): row for row in rows}
-    for row in rows:
-        sick = [tag for tag in (row["slaves"] if isinstance(row["slaves"], list) else []) if is_fault(by_tag[tag])]
-        if sick and is_fault(row):
-            row["action"] = f"its slave {sick[0]} first, then {row['action']}"
-            row["rank"] = 0.5 * _number(row, "rank")
-        if row["interaction"] and row["cause"] in {str(Cause.EXTERNAL), str(Cause.UNKNOWN)}:
-            others = row["swings_with"] if isinstance(row["swings_with"], list) else []
-            row["action"] = f"swings against {', '.join(map(str, others[:3]))}: slow one of them down"
-        elif row["interaction"] and row["cause"] in {str(cause) for cause in OWN_SWING}:
-            held = row["swings_with"]
-            against = ", ".join(map(str, held[:3])) if isinstance(held, list) else ""
-            row["reason"] = f"it and {against} act on each other: both oscillate after every upset. {row['reason']}"
-            row["action"], row["settings"] = f"swings against {against}: slow one of them down", None
 
 
 def _number(row: Row, name: str) -> float:

@@ -43,7 +43,15 @@ def conformance(
         if value is not None and not 0 < value < math.inf:
             raise UserError(f"{name} {value}: give a positive number")
     found = _examined(interface, channel, node, sample_time, speed, key_file, trial_samples, restart=restart)
-    _tell(found, as_json=as_json)
+    if as_json:
+        findings = [{"chapter": one.chapter, "said": one.said} for one in found.findings]
+        document = {"tried": found.tried, "findings": findings, "left_out": found.left_out}
+        sys.stdout.write(json.dumps(document, indent=2, allow_nan=False) + "\n")
+    else:
+        lines = [f"{one.chapter}: {one.said}" for one in found.findings]
+        lines += [f"not tried: {one}" for one in found.left_out]
+        verdict = f"{len(found.findings)} of {found.tried} answers are not those of docs/developers/protocol.md"
+        sys.stdout.write("\n".join([*lines, verdict if found.findings else f"{found.tried} answers, all right"]) + "\n")
     return int(bool(found.findings))
 
 
@@ -106,16 +114,3 @@ def _power_cycle(wait_until: Callable[[float], None], now_s: Callable[[], float]
         return done
 
     return asked
-
-
-def _tell(found: "Examination", *, as_json: bool) -> None:
-    """What it did wrong, chapter by chapter; what was left out."""
-    if as_json:
-        findings = [{"chapter": one.chapter, "said": one.said} for one in found.findings]
-        document = {"tried": found.tried, "findings": findings, "left_out": found.left_out}
-        sys.stdout.write(json.dumps(document, indent=2, allow_nan=False) + "\n")
-        return
-    lines = [f"{one.chapter}: {one.said}" for one in found.findings]
-    lines += [f"not tried: {one}" for one in found.left_out]
-    verdict = f"{len(found.findings)} of {found.tried} answers are not those of docs/developers/protocol.md"
-    sys.stdout.write("\n".join([*lines, verdict if found.findings else f"{found.tried} answers, all right"]) + "\n")

@@ -12,7 +12,6 @@ from retuner.errors import UserError, user_input
 from retuner.files import write_whole
 from retuner.gain_export.numbers import csv_table, dbc_table, identifier, numbers_of
 from retuner.gain_export.programs import c_header, structured_text
-from retuner.schedule.controller_units import ControllerUnits
 from retuner.schedule.document import from_toml
 from retuner.schedule.table import GainTable
 
@@ -54,7 +53,17 @@ def export(
     file = _table_of(path) if path.is_dir() else path
     table = _read(file)
     if form:
-        _write(table, file, form, out, units)
+        suffix, writer = FORMATS[form]
+        with user_input(str(file)):
+            text = writer(table, file.name) if units is None else csv_table(table, units)
+        if out == Path("-"):
+            sys.stdout.write(text)
+        else:
+            target = out or file.with_name(f"{identifier(table.loop)}_gains.{suffix}")
+            _put(target, text)
+            sys.stdout.write(
+                f"{target} written: {len(table.gains)} set{'s' * (len(table.gains) != 1)}, revision {table.revision}\n"
+            )
     elif units is not None:
         sys.stdout.write("".join(f"{name}: {units.text(table.gains_of(name))}\n" for name in table.regions.names))
     if into is not None:
@@ -86,21 +95,6 @@ def _read(path: Path) -> GainTable:
         raise UserError(f"{path}: is a configuration; give the gains.toml of a run")
     with user_input(str(path)):
         return from_toml(raw.decode("utf-8"))
-
-
-def _write(table: GainTable, source: Path, form: str, out: Path | None, units: ControllerUnits | None) -> None:
-    """The table in a format. units : of the controller whose numbers csv has."""
-    suffix, writer = FORMATS[form]
-    with user_input(str(source)):
-        text = writer(table, source.name) if units is None else csv_table(table, units)
-    if out == Path("-"):
-        sys.stdout.write(text)
-        return
-    target = out or source.with_name(f"{identifier(table.loop)}_gains.{suffix}")
-    _put(target, text)
-    sys.stdout.write(
-        f"{target} written: {len(table.gains)} set{'s' * (len(table.gains) != 1)}, revision {table.revision}\n"
-    )
 
 
 def _put(path: Path, text: str) -> None:

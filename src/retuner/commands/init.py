@@ -16,7 +16,6 @@ import numpy as np
 
 from retuner.adaptive.controller_settings.read_off import settings_in_force
 from retuner.adaptive.indexes.days import days_of
-from retuner.adaptive.signals.sample import FloatArray
 from retuner.api import identify_record
 from retuner.commands.recorded.recorded_loop import SHARE
 from retuner.commands.signatures import InitOptions
@@ -180,7 +179,14 @@ def of_record(record: Path, file: Path, given: PidGains | None) -> dict[Path, st
     gains = given or settings_in_force(max(days_of(window), key=lambda day: len(day.t_s))).gains
     if gains is None:
         raise UserError(f"{record}: the record does not show the active gains; give --kc, --tau-i and --tau-d")
-    pv_min, pv_max = _range(window.pv)
+    low, high = float(window.pv.min()), float(window.pv.max())
+    size = max(high - low, 1e-6 * max(abs(low), abs(high), 1.0))
+    unit = 10.0 ** math.floor(math.log10(size))
+    ends = (
+        math.floor((low - RANGE_MARGIN * size) / unit) * unit,
+        math.ceil((high + RANGE_MARGIN * size) / unit) * unit,
+    )
+    pv_min, pv_max = float(f"{ends[0]:.9g}"), float(f"{ends[1]:.9g}")
     answers = StarterAnswers(read.tag or record.stem, "-", pv_min, pv_max, window.sample_time_s, gains)
     text = _composed(answers, f"of {record.name}: range of pv with room, interval and gains as the record shows them")
     with user_input(str(record)):
@@ -213,18 +219,6 @@ steps = [
 {steps}]
 """,
     }
-
-
-def _range(pv: FloatArray) -> tuple[float, float]:
-    """A round range about a record's."""
-    low, high = float(pv.min()), float(pv.max())
-    size = max(high - low, 1e-6 * max(abs(low), abs(high), 1.0))
-    unit = 10.0 ** math.floor(math.log10(size))
-    ends = (
-        math.floor((low - RANGE_MARGIN * size) / unit) * unit,
-        math.ceil((high + RANGE_MARGIN * size) / unit) * unit,
-    )
-    return float(f"{ends[0]:.9g}"), float(f"{ends[1]:.9g}")
 
 
 def _composed(answers: StarterAnswers, source: str) -> str:

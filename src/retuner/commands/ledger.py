@@ -72,7 +72,14 @@ def _selected(rows: list[Row], options: ShowOptions) -> list[Row]:
 
     Raises UserError: there is no such decision or kind.
     """
-    rows = _of_loop(rows, options)
+    names = sorted({loop for row in rows if row.kind != "session" and (loop := row.body.get("loop"))})
+    if options.loop is None:
+        if options.decision is not None and len(names) > 1:
+            raise UserError(f"--loop: there are {len(names)} loops, name one of {', '.join(names)}")
+    else:
+        if options.loop not in names:
+            raise UserError(f"--loop {options.loop}: no row is of this loop; there are {', '.join(names) or 'none'}")
+        rows = [row for row in rows if row.body.get("loop", options.loop) == options.loop]
     if options.kind is not None:
         kinds = sorted({row.kind for row in rows})
         if options.kind not in kinds:
@@ -83,18 +90,6 @@ def _selected(rows: list[Row], options: ShowOptions) -> list[Row]:
             raise UserError("--since nan: give seconds of the run")
         rows = [row for row in rows if row.clock_s >= options.since]
     return rows if options.decision is None else list(_about(rows, options.decision))
-
-
-def _of_loop(rows: list[Row], options: ShowOptions) -> list[Row]:
-    """Rows about the loop, and about all of them; of a decision one has to say of which loop it is."""
-    names = sorted({loop for row in rows if row.kind != "session" and (loop := row.body.get("loop"))})
-    if options.loop is None:
-        if options.decision is not None and len(names) > 1:
-            raise UserError(f"--loop: there are {len(names)} loops, name one of {', '.join(names)}")
-        return rows
-    if options.loop not in names:
-        raise UserError(f"--loop {options.loop}: no row is of this loop; there are {', '.join(names) or 'none'}")
-    return [row for row in rows if row.body.get("loop", options.loop) == options.loop]
 
 
 def _about(rows: list[Row], number: int) -> Iterator[Row]:
@@ -156,31 +151,27 @@ def show(options: ShowOptions) -> int:
             console.print(_list(_folded(chosen, lines)), highlight=False, soft_wrap=True)
         ending = f"broken: {broken}" if broken else "the chain holds"
         if options == ShowOptions(session=options.session) and rows and rows[0].kind == "session":
-            for line in _left_to_do(path.parent, rows):
-                console.print(line, highlight=False, markup=False, soft_wrap=True)
+            # What waits for a person when the last row is written: why, and the command
+            config = part(rows[0].body, "config")
+            loops = parts(config, "loops") or [config]
+            names = [words(part(one, "loop"), "name") for one in loops]
+            by_hand = [""] * len(loops)
+            with contextlib.suppress(UserError):  # a ledger is read without its configuration, too
+                loops_run = load_session(path.parent / CONFIG, as_run=True)[0].loops
+                by_hand = [
+                    product("foreign device").advice_only(one) if one.foreign_device else "" for one in loops_run
+                ]
+            about = rows_by_loop(rows, names) if len(loops) > 1 else {"": tuple(rows)}
+            for loop, own in about.items():
+                at = names.index(loop) if loop else 0
+                open_s = number(part(loops[at], "adaptation"), "approval_s") or math.inf
+                for one in what_next(path.parent, own, open_s, (), None, loop, by_hand=by_hand[at]):
+                    line = f"open: {one.why.removesuffix(':')}{f'; {one.command}' * bool(one.command)}"
+                    console.print(line, highlight=False, markup=False, soft_wrap=True)
         console.print(
             f"{path}: {len(chosen)} of {len(rows)} rows; {ending}", highlight=False, markup=False, soft_wrap=True
         )
     return 1 if broken else 0
-
-
-def _left_to_do(folder: Path, rows: list[Row]) -> list[str]:
-    """What waits for a person when the last row is written: why, and the command."""
-    config = part(rows[0].body, "config")
-    loops = parts(config, "loops") or [config]
-    names = [words(part(one, "loop"), "name") for one in loops]
-    by_hand = [""] * len(loops)
-    with contextlib.suppress(UserError):  # a ledger is read without its configuration, too
-        loops_run = load_session(folder / CONFIG, as_run=True)[0].loops
-        by_hand = [product("foreign device").advice_only(one) if one.foreign_device else "" for one in loops_run]
-    about = rows_by_loop(rows, names) if len(loops) > 1 else {"": tuple(rows)}
-    lines = []
-    for loop, own in about.items():
-        at = names.index(loop) if loop else 0
-        open_s = number(part(loops[at], "adaptation"), "approval_s") or math.inf
-        waits = what_next(folder, own, open_s, (), None, loop, by_hand=by_hand[at])
-        lines += [f"open: {one.why.removesuffix(':')}{f'; {one.command}' * bool(one.command)}" for one in waits]
-    return lines
 
 
 TABLE_WIDTH = 160  # characters of a terminal from which a table is easier to read than a list

@@ -88,7 +88,21 @@ def leave(
     done = f"{counted(decisions, 'decision')}, {counted(changes, 'change')} of gains"
     screen.say(f"{done}; report: {folder / REPORT}")
     screen.say(f"ledger head {ledger.head()}")
-    _tell_what_next(job, ledger, left, screen)
+    several = job.config.several
+    about = rows_by_loop(ledger.rows(), job.config.names)
+    for one in left:
+        loop, name = one.loop, one.loop.name
+        names = loop.table.regions.names
+        locked = [region for i, region in enumerate(names) if loop.retuner.trials.phase(i) is TrialPhase.LOCKED]
+        table = job.folder / one.report.parent / GAINS
+        changed = Changed(table, job.options.config) if loop.changes else None
+        config = job.config.loops[job.config.names.index(name)]
+        by_hand = product("foreign device").advice_only(config) if config.foreign_device else ""
+        own, known_as = config.adaptation.approval_s, name if several else ""
+        for told in what_next(job.folder, about[name], own, locked, changed, known_as, by_hand=by_hand):
+            screen.say(told.why)
+            if told.command:
+                screen.command(f"  {told.command}")
 
 
 class _Left(NamedTuple):
@@ -164,24 +178,6 @@ def _index_lines(session: Session, left: Sequence[_Left]) -> list[LoopLine]:
         )
         for loop in session.loops
     ]
-
-
-def _tell_what_next(job: RunJob, ledger: Ledger, left: Sequence[_Left], screen: LiveScreen) -> None:
-    several = job.config.several
-    about = rows_by_loop(ledger.rows(), job.config.names)
-    for one in left:
-        loop, name = one.loop, one.loop.name
-        names = loop.table.regions.names
-        locked = [region for i, region in enumerate(names) if loop.retuner.trials.phase(i) is TrialPhase.LOCKED]
-        table = job.folder / one.report.parent / GAINS
-        changed = Changed(table, job.options.config) if loop.changes else None
-        config = job.config.loops[job.config.names.index(name)]
-        by_hand = product("foreign device").advice_only(config) if config.foreign_device else ""
-        own, known_as = config.adaptation.approval_s, name if several else ""
-        for told in what_next(job.folder, about[name], own, locked, changed, known_as, by_hand=by_hand):
-            screen.say(told.why)
-            if told.command:
-                screen.command(f"  {told.command}")
 
 
 def _facts(job: RunJob, ledger: Ledger, trend: str, i: int | None = None) -> dict[str, str]:

@@ -100,10 +100,24 @@ def _data(recorded: RecordedSession, rows: list[Row], columns: Columns) -> Repor
     config = recorded.config
     before = config.gain_table()
     names = before.regions.names
-    changes = _changes(recorded, names)
-    after = _final_table(recorded, before, changes)
+    written = (row for row in recorded.rows if row.kind == "committed" and row.body.get("why") == "retune")
+    changes = [row for row in written if row.body.get("region") in names]
+    after, kept_table = before, recorded.folder / GAINS
+    if kept_table.is_file():
+        with user_input(str(kept_table)):
+            after = from_toml(kept_table.read_text(encoding="utf-8"))
+    else:  # the session goes on, or was killed: what its ledger says was written
+        for row in changes:
+            gains = gains_of(part(row.body, "gains"))
+            if gains is not None:
+                after = after.with_gains(names.index(row.body["region"]), gains)
     changed = [(row.clock_s, names.index(row.body["region"])) for row in changes]
-    summary = _summary(recorded)
+    path = recorded.folder / SUMMARY
+    try:
+        summary: Any = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    except ValueError as error:
+        raise UserError(f"{path}: is no JSON: {error}") from None
+    summary = summary if isinstance(summary, dict) else {}
     scores = scores_of(config, after, changed, columns)
     steps = config.scenario.steps if config.scenario else []
     # the scores with what only the summary has kept: IAE with fixed gains, Ms of a plant that is not ours
@@ -129,11 +143,6 @@ def _data(recorded: RecordedSession, rows: list[Row], columns: Columns) -> Repor
         advice=[words(one, "sentence") for one in parts(summary, "advice")],
         ms_limit=config.adaptation.ms_marked,
     )
-
-
-def _changes(recorded: RecordedSession, names: tuple[str, ...]) -> list[Row]:
-    changed = (row for row in recorded.rows if row.kind == "committed" and row.body.get("why") == "retune")
-    return [row for row in changed if row.body.get("region") in names]
 
 
 def scores_of(
@@ -163,31 +172,6 @@ def scores_of(
     except PlantFaultError as fault:  # a copy that tells nothing takes nothing from the report
         say(f"{loop.name}: no Ms on the simulated process: {fault}")
         return scores(None)
-
-
-def _final_table(recorded: RecordedSession, table: GainTable, changes: list[Row]) -> GainTable:
-    """The table as it was left; while the session goes on, or after it was killed, what its ledger says was written."""
-    path = recorded.folder / GAINS
-    if path.is_file():
-        with user_input(str(path)):
-            return from_toml(path.read_text(encoding="utf-8"))
-    for row in changes:
-        gains = gains_of(part(row.body, "gains"))
-        if gains is not None:
-            table = table.with_gains(table.regions.names.index(row.body["region"]), gains)
-    return table
-
-
-def _summary(recorded: RecordedSession) -> Document:
-    """What a run leaves beside its ledger; empty while it goes on, or after it was killed."""
-    path = recorded.folder / SUMMARY
-    if not path.is_file():
-        return {}
-    try:
-        summary: Any = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise UserError(f"{path}: is no JSON: {error}") from None
-    return summary if isinstance(summary, dict) else {}
 
 
 def _as_kept(kept: Document, score: RegionScore) -> RegionScore:

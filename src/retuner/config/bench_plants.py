@@ -83,7 +83,40 @@ def known_plant(config: Config) -> KnownPlant | None:
     if isinstance(plant, ModelConfig):
         return None
     try:
-        made = _ours(config, plant)
+        assert config.device is not None
+        seed = config.device.seed
+        made: KnownPlant
+        if isinstance(plant, OvenPlantConfig):
+            made = OvenPlant(plant.settings(), plant.start_c, seed)
+        elif isinstance(plant, BoilerPlantConfig):
+            made = BoilerPlant(plant.settings(), plant.start_c, seed)
+        elif isinstance(plant, IdentifiedPlantConfig):
+            process = model_of(Path(plant.file))
+            try:
+                record = read_loop_record([Path(plant.record)]).recording
+            except RecordingError as error:
+                raise PlantFaultError(f": {error}", "record") from None
+            load = load_of(process, record.t_s, record.pv, record.co)
+            load = alike(load, seed) if plant.load == "alike" else load
+            linear = LinearPlant(
+                process,
+                start_pv=float(record.pv[0]),
+                start_co=float(record.co[0]),
+                co_min=config.loop.co_min_pct,
+                co_max=config.loop.co_max_pct,
+            )
+            made = LoadedPlant(linear, RecordedLoads([load]))
+        else:
+            process = LinearProcess(plant.k, plant.lags_s, plant.leads_s, plant.theta_s, plant.integrators)
+            made = LinearPlant(
+                process,
+                start_pv=plant.start_pv,
+                start_co=plant.start_co_pct,
+                noise=plant.noise,
+                seed=seed,
+                co_min=config.loop.co_min_pct,
+                co_max=config.loop.co_max_pct,
+            )
         loads = _loads(plant.loads)
     except PlantFaultError as fault:
         raise UnusablePlantError(0, config.loop.name, fault) from None
@@ -111,41 +144,6 @@ def stepped_plant(config: Config, configs: Sequence[Config], sp: FloatArray, co:
 OurConfig = OvenPlantConfig | LinearPlantConfig | BoilerPlantConfig | IdentifiedPlantConfig
 
 
-def _ours(config: Config, plant: OurConfig) -> KnownPlant:
-    assert config.device is not None
-    seed = config.device.seed
-    if isinstance(plant, OvenPlantConfig):
-        return OvenPlant(plant.settings(), plant.start_c, seed)
-    if isinstance(plant, BoilerPlantConfig):
-        return BoilerPlant(plant.settings(), plant.start_c, seed)
-    if isinstance(plant, IdentifiedPlantConfig):
-        process = model_of(Path(plant.file))
-        try:
-            record = read_loop_record([Path(plant.record)]).recording
-        except RecordingError as error:
-            raise PlantFaultError(f": {error}", "record") from None
-        load = load_of(process, record.t_s, record.pv, record.co)
-        load = alike(load, seed) if plant.load == "alike" else load
-        made = LinearPlant(
-            process,
-            start_pv=float(record.pv[0]),
-            start_co=float(record.co[0]),
-            co_min=config.loop.co_min_pct,
-            co_max=config.loop.co_max_pct,
-        )
-        return LoadedPlant(made, RecordedLoads([load]))
-    process = LinearProcess(plant.k, plant.lags_s, plant.leads_s, plant.theta_s, plant.integrators)
-    return LinearPlant(
-        process,
-        start_pv=plant.start_pv,
-        start_co=plant.start_co_pct,
-        noise=plant.noise,
-        seed=seed,
-        co_min=config.loop.co_min_pct,
-        co_max=config.loop.co_max_pct,
-    )
-
-
 class Plants(Closes):
     """The plants of some loops; ends the processes of models when it is left.
 
@@ -163,27 +161,24 @@ class Plants(Closes):
         try:
             for i, config in enumerate(configs):
                 try:
-                    self._add(i, config, configs)
+                    plant = plant_of(config)
+                    if not isinstance(plant, ModelConfig):
+                        known = known_plant(config)
+                        assert known is not None
+                        self.plants.append(known)
+                        self.described.append(())
+                    else:
+                        name = plant.shared or f"\0{i}"
+                        if name not in self._shared:
+                            users = [one for one in configs if plant.shared and _shares(one, plant.shared)] or [config]
+                            self._shared[name] = _Model(users, self._say, self._wait_s(config))
+                        self.plants.append(self._shared[name].port(config, plant))
+                        self.described.append(self._shared[name].described)
                 except PlantFaultError as fault:
                     raise UnusablePlantError(i, config.loop.name, fault) from None
         except BaseException:
             self.close()
             raise
-
-    def _add(self, place: int, config: Config, configs: Sequence[Config]) -> None:
-        plant = plant_of(config)
-        if not isinstance(plant, ModelConfig):
-            known = known_plant(config)
-            assert known is not None
-            self.plants.append(known)
-            self.described.append(())
-            return
-        name = plant.shared or f"\0{place}"
-        if name not in self._shared:
-            users = [one for one in configs if plant.shared and _shares(one, plant.shared)] or [config]
-            self._shared[name] = _Model(users, self._say, self._wait_s(config))
-        self.plants.append(self._shared[name].port(config, plant))
-        self.described.append(self._shared[name].described)
 
     def _wait_s(self, config: Config) -> float | None:
         """How long a device waits for its model's step, s of the machine's time."""

@@ -49,25 +49,21 @@ def make_access(config: Config, foreign: Foreign) -> Access:
     Raises ProfileError: the description cannot be used, or has not what the mapping names.
     """
     try:
-        return _access(config, foreign)
+        mapping = mapping_of(config, foreign)
+        if isinstance(foreign, DbcDeviceConfig):
+            return DbcAccess(dbc_file(config, foreign), mapping)
+        try:
+            from retuner.drivers.canopen.canopen_access import CanOpenAccess, NodeSettings  # noqa: PLC0415  an extra
+        except ModuleNotFoundError as missing:
+            raise ProfileError(f'needs {missing.name}: pip install "retuner[canopen]"', ("kind",)) from None
+        settings = NodeSettings(foreign.start, foreign.heartbeat_s, foreign.own_node)
+        return CanOpenAccess(eds_file(config, foreign), mapping, settings)
     except ProfileError as error:
         match error.key:
             case ("gains", "ki" | "tn" | "repeats" | "kd" | "tv" as gain, "object" | "message" | "signal"):
                 remedy = f"; if the device has no such gain: {gain} = false under [device.gains]"
                 raise ProfileError(f"{error}{remedy}", error.key) from None
         raise
-
-
-def _access(config: Config, foreign: Foreign) -> Access:
-    mapping = mapping_of(config, foreign)
-    if isinstance(foreign, DbcDeviceConfig):
-        return DbcAccess(dbc_file(config, foreign), mapping)
-    try:
-        from retuner.drivers.canopen.canopen_access import CanOpenAccess, NodeSettings  # noqa: PLC0415  an extra
-    except ModuleNotFoundError as missing:
-        raise ProfileError(f'needs {missing.name}: pip install "retuner[canopen]"', ("kind",)) from None
-    settings = NodeSettings(foreign.start, foreign.heartbeat_s, foreign.own_node)
-    return CanOpenAccess(eds_file(config, foreign), mapping, settings)
 
 
 def vendor_units(config: Config) -> VendorUnits | None:

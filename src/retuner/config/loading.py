@@ -335,7 +335,18 @@ def parse_session(text: str) -> SessionConfig:
 
     Raises UnusableError: with every problem found: of syntax the first, of settings all.
     """
-    document = _parsed(text)
+    try:
+        document = tomllib.loads(text)
+    except RecursionError:
+        raise UnusableError([ConfigFlaw(1, "", "brackets are nested too deeply; no setting needs that")]) from None
+    except ValueError as error:
+        message = str(error)
+        place = PLACE.search(message)
+        line = int(place[1]) if place and place[1] else text.rstrip().count("\n") + 1
+        told = PLACE.sub("", message)
+        told = told[:1].lower() + told[1:]
+        column = f", column {place[2]}" if place and place[2] else ""
+        raise UnusableError([ConfigFlaw(line, "", f"is not TOML: {told}{column}; correct the line")]) from None
     # Another schema gets one line about that, not fifty about its keys
     schema = document.get("schema")
     if type(schema) is int and schema != SCHEMA:
@@ -408,21 +419,6 @@ def _refuse_findings(findings: Iterable[ConfigFlaw]) -> None:
     once = list(dict.fromkeys(findings))
     if once:
         raise UnusableError(sorted(once, key=lambda finding: finding.line))
-
-
-def _parsed(text: str) -> dict[str, object]:
-    try:
-        return tomllib.loads(text)
-    except RecursionError:
-        raise UnusableError([ConfigFlaw(1, "", "brackets are nested too deeply; no setting needs that")]) from None
-    except ValueError as error:
-        message = str(error)
-        place = PLACE.search(message)
-        line = int(place[1]) if place and place[1] else text.rstrip().count("\n") + 1
-        told = PLACE.sub("", message)
-        told = told[:1].lower() + told[1:]
-        column = f", column {place[2]}" if place and place[2] else ""
-        raise UnusableError([ConfigFlaw(line, "", f"is not TOML: {told}{column}; correct the line")]) from None
 
 
 def _placed(problem: Problem, lines: dict[Path, int], loop: int | None) -> ConfigFlaw:

@@ -128,6 +128,19 @@ def decision_document(view: DecisionView) -> DecisionDocument:
     mode, back = words(view.document, "mode"), view.rolls_back
     place = (f"region {words(view.document, 'region')}", f"{in_full(view.t_s)} s", f"mode {mode}" if mode else "")
     what = "The trial settings stay" if stays(view.document) else DONE.get(view.action, view.action)
+    promise = part(view.document, "promise")
+    rows = [
+        (label, *(cell for upset in UPSETS for cell in _promised(promise, upset, name, factor, unit)))
+        for name, (label, factor, unit) in MEASURES.items()
+    ]
+    rows = [row for row in rows if any(row[1:])]
+    models = number(promise, "models")
+    over = f" over the {models:.0f} plausible model{'s' * (models != 1)}" if models else ", from what was seen"
+    spread = f"In brackets the smallest and largest value{over}.{_promised_ms(promise)}"
+    heads = ("", "setpoint step: predicted", "previous settings", "load step: predicted", "previous settings")
+    heading = "Predicted performance, against which the next responses are judged"
+    if view.rolls_back:
+        heading = f"Predicted performance of what {'is on trial' if stays(view.document) else 'was rolled back'}"
     sections = (
         PageSection("The response", (Drawing("response"), Text(_how_it_ended(view), "muted"))),
         PageSection("The trial: this response against the predicted performance", _judged_by(view)),
@@ -138,7 +151,7 @@ def decision_document(view: DecisionView) -> DecisionDocument:
         PageSection(
             "Robustness and predicted responses", (Text(footing(view)), Drawing("robustness"), *_margins(view))
         ),
-        _promise(view),
+        PageSection(heading, (Table(heads, rows), Text(spread, "muted")) if rows else ()),
         PageSection("What came of it", _later(view)),
         PageSection("Ledger entry", _pairs(_whereabouts(view))),
     )
@@ -234,23 +247,19 @@ def _cause(view: DecisionView) -> Sequence[Block]:
     first = [row for name in FIRST_GROUPS for row in groups.pop(name, [])]
     rest = [row for rows in groups.values() for row in rows]
     heads = ("evidence", "value", "how to read it")
-    seen = _by_eye(view)
+    period_s, damping = number(view.response, "period_s"), number(view.response, "damping")
+    if not period_s or damping is None or damping < SWINGS or period_s < 0:
+        seen = []
+    else:
+        integrating = view.model is not None and view.model.linear().integrators > 0
+        tuning = words(part(view.document, "diagnosis"), "cause") in {*TUNING_CAUSES, Cause.UNKNOWN}
+        seen = oscillation_by_eye(period_s, view.before, integrating=integrating, tuning=tuning)
     return (
         Text(f"{sure}: {words(diagnosis, 'reason')}", bold=name),
         Text(f"By eye: {'; '.join(seen)}." if seen else "", "muted"),
         *_table(heads, first),
         *_table(heads, rest, fold=f"{len(rest)} more numbers"),
     )
-
-
-def _by_eye(view: DecisionView) -> list[str]:
-    """What the visual rules say of a response that swings on."""
-    period_s, damping = number(view.response, "period_s"), number(view.response, "damping")
-    if not period_s or damping is None or damping < SWINGS or period_s < 0:
-        return []
-    integrating = view.model is not None and view.model.linear().integrators > 0
-    tuning = words(part(view.document, "diagnosis"), "cause") in {*TUNING_CAUSES, Cause.UNKNOWN}
-    return oscillation_by_eye(period_s, view.before, integrating=integrating, tuning=tuning)
 
 
 def _proposal(view: DecisionView) -> Sequence[Block]:
@@ -393,23 +402,6 @@ FINDINGS = {
     "worse": "worse than predicted",
     "inconclusive": "not judged",
 }
-
-
-def _promise(view: DecisionView) -> PageSection:
-    promise = part(view.document, "promise")
-    rows = [
-        (label, *(cell for upset in UPSETS for cell in _promised(promise, upset, name, factor, unit)))
-        for name, (label, factor, unit) in MEASURES.items()
-    ]
-    rows = [row for row in rows if any(row[1:])]
-    models = number(promise, "models")
-    over = f" over the {models:.0f} plausible model{'s' * (models != 1)}" if models else ", from what was seen"
-    spread = f"In brackets the smallest and largest value{over}.{_promised_ms(promise)}"
-    heads = ("", "setpoint step: predicted", "previous settings", "load step: predicted", "previous settings")
-    heading = "Predicted performance, against which the next responses are judged"
-    if view.rolls_back:
-        heading = f"Predicted performance of what {'is on trial' if stays(view.document) else 'was rolled back'}"
-    return PageSection(heading, (Table(heads, rows), Text(spread, "muted")) if rows else ())
 
 
 def _promised_ms(promise: Document) -> str:

@@ -184,20 +184,17 @@ def samples_of(columns: Mapping[str, FloatArray], response: Document, end_s: flo
     if last - first < 3:
         return None
     begun = int(np.searchsorted(t, start))
-    first += _unbroken(columns["region"][first : begun + 1], t[first : begun + 1])
-    sets = columns["sequence"][first:last] if "sequence" in columns else np.zeros(last - first)
-    changed = t[first:last][1:][np.diff(sets) != 0]
-    sp, pv, co = (columns[name][first:last] for name in ("sp", "pv", "co"))
-    return Samples(t[first:last], sp, pv, co, None, tuple(changed.tolist()))
-
-
-def _unbroken(region: FloatArray, t_s: FloatArray) -> int:
-    """How many samples at the beginning belong to another region or lie before a gap."""
+    region = columns["region"][first : begun + 1]
+    t_s = t[first : begun + 1]
     gap = 3 * float(np.median(np.diff(t_s))) if len(t_s) > 1 else 0.0
     cuts = [
         i + 1 for i, (a, b) in enumerate(pairwise(range(len(t_s)))) if region[a] != region[b] or t_s[b] - t_s[a] > gap
     ]
-    return cuts[-1] if cuts else 0
+    first += cuts[-1] if cuts else 0
+    sets = columns["sequence"][first:last] if "sequence" in columns else np.zeros(last - first)
+    changed = t[first:last][1:][np.diff(sets) != 0]
+    sp, pv, co = (columns[name][first:last] for name in ("sp", "pv", "co"))
+    return Samples(t[first:last], sp, pv, co, None, tuple(changed.tolist()))
 
 
 # Decisions made ready for their pages: each with the samples of its response out of the trend, and the model's pv.

@@ -182,7 +182,14 @@ def one_line(decision: "Decision | Document") -> str:
 def proof_text(body: Document, action: str, reason: str) -> str:
     """The guard's word on what is written, proposed or refused; what the rule gives where that must wait."""
     verdict = part(body, "verdict")
-    said = _proved(verdict, reason)
+    said = words(verdict, "reason")
+    if not said or said in reason:
+        said = ""
+    elif verdict.get("accepted") is True and verdict.get("allowed") != []:
+        before, share = ms_words(number(part(verdict, "ms"), "before")), part_words(verdict)
+        was = "" if f"Ms {before} ->" in said else f"; Ms before {before}"
+        part_of = share.partition("full change")[0]
+        said = f"{said}{was}" + (f"; {share}" if share and part_of not in said else "")
     if action == "restore" or (not said and action != "none"):
         return ""
     if action != "none":
@@ -231,19 +238,6 @@ def knowledge_text(body: Document) -> str:
     beside = (f"explained by {steps}" if by_loads else f"with {steps} beside the setpoint's") if loads else ""
     other = "another model explains the record as well" if rival else ""
     return ", ".join(text for text in (model, beside, stood, other) if text)
-
-
-def _proved(verdict: Document, reason: str) -> str:
-    """The guard's word, what Ms was before, and how much of the way to what the rule gives was gone."""
-    said = words(verdict, "reason")
-    if not said or said in reason:
-        return ""
-    if verdict.get("accepted") is not True or verdict.get("allowed") == []:
-        return said
-    before, share = ms_words(number(part(verdict, "ms"), "before")), part_words(verdict)
-    was = "" if f"Ms {before} ->" in said else f"; Ms before {before}"
-    part_of = share.partition("full change")[0]
-    return f"{said}{was}" + (f"; {share}" if share and part_of not in said else "")
 
 
 def short_reason(decision: "Decision") -> str:

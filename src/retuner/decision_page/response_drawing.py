@@ -31,8 +31,21 @@ def response_svg(view: DecisionView) -> str:
     size, places = stacked(heights, WIDTH, ROOM)
     over = (float(x[0]), float(x[-1]))
     top = _signals(places[0], over, view, samples, x)
-    _peaks(top, view, samples, zero, scale)
-    remainder = _remainder(places[1], over, view, samples, x)
+    for i, peak in enumerate(view.peaks, 1):
+        sp = float(samples.sp[min(int(np.searchsorted(samples.t_s, peak.t_s)), len(samples.sp) - 1)])
+        at = (peak.t_s - zero) / scale
+        top.curve([at, at], [sp, sp - peak.e], Stroke(SETPOINT, 9))
+        top.note((at, sp - peak.e), f"E{i} = {peak.e:.3g}", (60, 160 if peak.e > 0 else -90), SETPOINT, dot=True)
+    if samples.explained is None:
+        remainder = []
+    else:
+        left, noise = samples.pv - samples.explained, number(view.estimate, "noise") or 0.0
+        panel = Panel(places[1], over, room([left, [0.0, NOISE_STDS * noise, -NOISE_STDS * noise]], SHARE))
+        if noise:
+            panel.band(over, [-NOISE_STDS * noise] * 2, [NOISE_STDS * noise] * 2, BAND)
+        panel.curve(over, (0.0, 0.0), Stroke(FAINT, 8))
+        panel.curve(*thinned(x, left), LINE)
+        remainder = [panel]
     output = Panel(places[-1], over, room([samples.co], SHARE))
     output.curve(*thinned(*steps(x, samples.co)), LINE)
     marks = (
@@ -79,25 +92,3 @@ def _signals(place: Place, over: Range, view: DecisionView, samples: Samples, x:
     for one in explained:
         panel.curve(*thinned(x, one), Stroke(MODEL, 15, "60 30"), "pv as the model has it")
     return panel
-
-
-def _peaks(panel: Panel, view: DecisionView, samples: Samples, zero: float, scale: float) -> None:
-    """E1, E2, E3: the error at each as a line from the setpoint to pv."""
-    for i, peak in enumerate(view.peaks, 1):
-        sp = float(samples.sp[min(int(np.searchsorted(samples.t_s, peak.t_s)), len(samples.sp) - 1)])
-        at = (peak.t_s - zero) / scale
-        panel.curve([at, at], [sp, sp - peak.e], Stroke(SETPOINT, 9))
-        panel.note((at, sp - peak.e), f"E{i} = {peak.e:.3g}", (60, 160 if peak.e > 0 else -90), SETPOINT, dot=True)
-
-
-def _remainder(place: Place, over: Range, view: DecisionView, samples: Samples, x: FloatArray) -> list[Panel]:
-    """What the model leaves of pv, in the band of the noise; nothing where there is no model."""
-    if samples.explained is None:
-        return []
-    left, noise = samples.pv - samples.explained, number(view.estimate, "noise") or 0.0
-    panel = Panel(place, over, room([left, [0.0, NOISE_STDS * noise, -NOISE_STDS * noise]], SHARE))
-    if noise:
-        panel.band(over, [-NOISE_STDS * noise] * 2, [NOISE_STDS * noise] * 2, BAND)
-    panel.curve(over, (0.0, 0.0), Stroke(FAINT, 8))
-    panel.curve(*thinned(x, left), LINE)
-    return [panel]

@@ -152,7 +152,13 @@ class DecideInWorker(Closes):
         try:
             came = self._worker.answers.get_nowait()
         except queue.Empty:
-            return self._too_late()
+            assert self._asked_s is not None
+            if self._clock.now_s() - self._asked_s < self._deadline_s:
+                return None
+            self._end()
+            self._start()
+            trouble = f"no decision within {self._deadline_s:g} s of the machine's time; the worker was started anew"
+            return without_decision(LATE, trouble)
         if isinstance(came, Outcome):
             return Answer(came)
         if isinstance(came, str):
@@ -160,16 +166,6 @@ class DecideInWorker(Closes):
         how = self._end() or "broke off"
         self._start()
         return without_decision(LOST, f"the worker {how} while it made a decision, and was started anew")
-
-    def _too_late(self) -> Answer | None:
-        """No answer once the deadline has passed: the worker is ended then, for it may hang."""
-        assert self._asked_s is not None
-        if self._clock.now_s() - self._asked_s < self._deadline_s:
-            return None
-        self._end()
-        self._start()
-        trouble = f"no decision within {self._deadline_s:g} s of the machine's time; the worker was started anew"
-        return without_decision(LATE, trouble)
 
     def _start(self) -> None:
         """Begin a worker; it imports what it needs meanwhile."""

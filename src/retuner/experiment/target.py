@@ -129,21 +129,17 @@ class Helm:
                     co = sample.co if wanted.co is None else wanted.co
                     self._device.send_mode(auto=wanted.mode == LoopMode.AUTO, co=co, now_s=now_s)
                     self._mode, self._mode_s = want, now_s
-            self._steer_sp(wanted, sample, now_s, insist=insist)
+            if wanted.sp is not None:
+                new = wanted.sp != self._sp and not (self._sp is None and self._shows_sp(wanted, sample))
+                overdue = insist and now_s - self._sp_s > self._again_s and not self._shows_sp(wanted, sample)
+                if new or overdue:
+                    self._device.send_setpoint(wanted.sp, now_s)
+                    self._sp, self._sp_s = wanted.sp, now_s
             if insist:
                 self._steer_gains(wanted, now_s)
         except WriteRefusedError as refused:
             return str(refused)
         return ""
-
-    def _steer_sp(self, wanted: Target, sample: LoopSample, now_s: float, *, insist: bool) -> None:
-        if wanted.sp is None:
-            return
-        new = wanted.sp != self._sp and not (self._sp is None and self._shows_sp(wanted, sample))
-        overdue = insist and now_s - self._sp_s > self._again_s and not self._shows_sp(wanted, sample)
-        if new or overdue:
-            self._device.send_setpoint(wanted.sp, now_s)
-            self._sp, self._sp_s = wanted.sp, now_s
 
     def _steer_gains(self, wanted: Target, now_s: float) -> None:
         running = self._device.running

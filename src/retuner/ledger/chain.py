@@ -76,7 +76,17 @@ def check_chain(rows: Iterable[Row], head: tuple[int, str], anchor: str = "") ->
     last, count = GENESIS, 0
     found = GENESIS.startswith(anchor)
     for row in rows:
-        reason = _fault(row, last, count + 1)
+        seq = count + 1
+        if row.seq != seq:
+            reason = f"row {seq} is missing; row {row.seq} stands in its place"
+        elif row.previous != last:
+            reason = f"row {seq} does not follow the row before it"
+        else:
+            try:
+                expected = next_row(last, row.seq, row.clock_s, row.kind, row.text).hash
+            except ValueError:  # not even a row's kind of values
+                expected = ""
+            reason = "" if expected == row.hash else f"row {seq} was changed after it was written"
         if reason:
             return ChainReport(count, last, count + 1, reason)
         last, count = row.hash, count + 1
@@ -90,19 +100,6 @@ def check_chain(rows: Iterable[Row], head: tuple[int, str], anchor: str = "") ->
         reason = f"no row has the hash {anchor[:12]}; rows were cut off after {count}, or this is another ledger"
         return ChainReport(count, last, count + 1, reason)
     return ChainReport(count, last)
-
-
-def _fault(row: Row, last: str, seq: int) -> str:
-    """What is wrong with a row that should follow hash `last` as number `seq`; empty when nothing."""
-    if row.seq != seq:
-        return f"row {seq} is missing; row {row.seq} stands in its place"
-    if row.previous != last:
-        return f"row {seq} does not follow the row before it"
-    try:
-        expected = next_row(last, row.seq, row.clock_s, row.kind, row.text).hash
-    except ValueError:  # not even a row's kind of values
-        expected = ""
-    return "" if expected == row.hash else f"row {seq} was changed after it was written"
 
 
 # ---- A decision as its row keeps it, and the hash by which other rows name it

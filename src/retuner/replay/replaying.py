@@ -189,7 +189,17 @@ class Replay:
                 )
                 return
             try:
-                self._take(row)
+                if row.kind == "decision":
+                    self._compare(row)
+                elif row.kind == ROW:
+                    found = refined(self._retuner)
+                    if not same_proposal(row.body, found, rounded=self._result.engines is not None):
+                        now = MISSING if found is None else found.sentence
+                        self._result.difference = Difference(0, row.seq, ROW, row.body["reason"], now)
+                elif row.kind == "link" and row.body["state"] != "up":
+                    self._heard.contact_lost()
+                else:
+                    self._decided(feed(self._retuner, row.kind, row.body, row.clock_s))
             except (KeyError, TypeError, ValueError) as error:
                 self._result.stopped = (
                     f"row {row.seq} of the ledger is not what a session of this release writes: {error}"
@@ -199,20 +209,6 @@ class Replay:
         if self._waiting:
             made = self._waiting[0]
             self._result.difference = Difference(made.number, None, "", MISSING, made.reason)
-
-    def _take(self, row: Row) -> None:
-        """Take one row: a decision or a proposed schedule to compare, or something that the retuner was told."""
-        if row.kind == "decision":
-            self._compare(row)
-        elif row.kind == ROW:
-            found = refined(self._retuner)
-            if not same_proposal(row.body, found, rounded=self._result.engines is not None):
-                now = MISSING if found is None else found.sentence
-                self._result.difference = Difference(0, row.seq, ROW, row.body["reason"], now)
-        elif row.kind == "link" and row.body["state"] != "up":
-            self._heard.contact_lost()
-        else:
-            self._decided(feed(self._retuner, row.kind, row.body, row.clock_s))
 
     def _at(self, samples: int) -> Iterator[Row]:
         while self._next < len(self._rows) and self._rows[self._next].body.get("samples") == samples:

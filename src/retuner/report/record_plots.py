@@ -122,7 +122,17 @@ def _over_time(picture: RecordPicture, panels: tuple["Axes", "Axes", "Axes"]) ->
         if limit is not None and np.min(co) - room <= limit <= np.max(co) + room:
             middle.axhline(limit, color=FAINT, lw=1.0, ls=":")
     middle.set_ylabel("co")
-    _remainder(bottom, picture, x)
+    window = picture.window
+    if not picture.explanations:
+        bottom.plot(x, window.sp - window.pv, color=PV, lw=0.8)
+        bottom.set_ylabel("sp - pv")
+    for i, curve in enumerate(picture.explanations):
+        believed = i == len(picture.explanations) - 1
+        left = window.pv[np.searchsorted(window.t_s, curve.t_s)] - curve.pv
+        bottom.plot(np.interp(curve.t_s, window.t_s, x), left, color=PV if believed else FAINT, lw=0.8)
+        bottom.set_ylabel("pv residual")
+    bottom.axhspan(-2 * picture.noise_std, 2 * picture.noise_std, color=MODEL, alpha=0.2, lw=0)
+    bottom.axhline(0, color=FAINT, lw=0.8)
     floors(top, middle, picture.window.pv)
     _events(picture, x, (top, middle, bottom))
     for axes in (top, middle):
@@ -136,21 +146,6 @@ def _over_time(picture: RecordPicture, panels: tuple["Axes", "Axes", "Axes"]) ->
 def _legend(axes: "Axes") -> None:
     """Names of the curves above them, where they hide nothing."""
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.985), fontsize=9, frameon=False, ncols=6)
-
-
-def _remainder(axes: "Axes", picture: RecordPicture, x: FloatArray) -> None:
-    """What the explanations leave, in the band of the noise; without one the control error."""
-    window = picture.window
-    if not picture.explanations:
-        axes.plot(x, window.sp - window.pv, color=PV, lw=0.8)
-        axes.set_ylabel("sp - pv")
-    for i, curve in enumerate(picture.explanations):
-        believed = i == len(picture.explanations) - 1
-        left = window.pv[np.searchsorted(window.t_s, curve.t_s)] - curve.pv
-        axes.plot(np.interp(curve.t_s, window.t_s, x), left, color=PV if believed else FAINT, lw=0.8)
-        axes.set_ylabel("pv residual")
-    axes.axhspan(-2 * picture.noise_std, 2 * picture.noise_std, color=MODEL, alpha=0.2, lw=0)
-    axes.axhline(0, color=FAINT, lw=0.8)
 
 
 def _events(picture: RecordPicture, x: FloatArray, panels: Sequence["Axes"]) -> None:

@@ -2,7 +2,7 @@
 
 import math
 
-from retuner.adaptive.loop.optimum import References, references
+from retuner.adaptive.loop.optimum import references
 from retuner.adaptive.loop.performance import Performance, performance, weighted_cost
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.rules.registry import RULES, kind_for
@@ -51,7 +51,10 @@ def compare_rules(
     Raises ValueError: the kind is not known, or no rule at all has an answer.
     """
     rows, left_out = [], []
-    best = _references(model)
+    try:
+        best = references(model.linear())
+    except ValueError:
+        best = None
     for rule in RULES.values():
         known = {OPTION_OF_WISH.get(name, name) for name in rule.wishes} | set(READINGS[rule.takes])
         given = {name: value for name, value in wishes.items() if name in known}
@@ -75,11 +78,3 @@ def compare_rules(
     if not rows:
         raise ValueError(f"no rule has an answer for this process: {'; '.join(reason for _, reason in left_out[:2])}")
     return Comparison(tuple(rows), tuple(left_out))
-
-
-def _references(model: ProcessModel) -> References | None:
-    """The best IAE at Ms = 1.59, or None where no controller has that Ms."""
-    try:
-        return references(model.linear())
-    except ValueError:
-        return None

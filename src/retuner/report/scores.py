@@ -84,7 +84,21 @@ def region_scores(
     """
     scores = []
     for i, name in enumerate(before.regions.names):
-        truths = _truths(linearise, run, i, sample_time_s, loads)
+        inside = np.flatnonzero(run["region"] == i)
+        truths: list[Truth] = []  # over the setpoints visited, under each load that was on it
+        if linearise is not None and inside.size:
+            loaded = np.zeros(len(inside)) if loads is None else loads[inside]
+            for load in np.unique(loaded).tolist():
+                rows = inside[loaded == load]
+                visited = run["sp"][rows]
+                stayed_s = max(map(len, np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1))) * sample_time_s
+                for pv in np.linspace(visited.min(), visited.max(), POINTS).tolist():
+                    process = linearise(pv, load) if load else linearise(pv)
+                    if stayed_s <= process.theta_s < len(inside) * sample_time_s:
+                        continue
+                    row = int(rows[np.argmin(np.abs(visited - pv))])
+                    x, x2 = (float(run[name][row]) if name in run else 0.0 for name in ("x", "x2"))
+                    truths.append(Truth(process.seen_by_controller(sample_time_s), x, x2))
 
         def worst(table: GainTable, truths: list[Truth] = truths, region: int = i) -> float | None:
             return max((sensitivity_peak(t.process, t.gains(table, region), tau_f_s) for t in truths), default=None)
@@ -116,29 +130,6 @@ class Truth:
         """What the table puts in force there; the region's own set where a scheduling value was not known."""
         known = math.isfinite(self.x) and math.isfinite(self.x2)
         return table.at(region, self.x, self.x2) if known else table.gains_of(region)
-
-
-def _truths(
-    linearise: Linearise | None, run: Columns, region: int, sample_time_s: float, loads: FloatArray | None
-) -> list[Truth]:
-    """True processes over the setpoints visited in a region, under each load that was on it."""
-    inside = np.flatnonzero(run["region"] == region)
-    if linearise is None or not inside.size:
-        return []
-    found = []
-    loaded = np.zeros(len(inside)) if loads is None else loads[inside]
-    for load in np.unique(loaded).tolist():
-        rows = inside[loaded == load]
-        visited = run["sp"][rows]
-        stayed_s = max(map(len, np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1))) * sample_time_s
-        for pv in np.linspace(visited.min(), visited.max(), POINTS).tolist():
-            process = linearise(pv, load) if load else linearise(pv)
-            if stayed_s <= process.theta_s < len(inside) * sample_time_s:
-                continue
-            row = int(rows[np.argmin(np.abs(visited - pv))])
-            x, x2 = (float(run[name][row]) if name in run else 0.0 for name in ("x", "x2"))
-            found.append(Truth(process.seen_by_controller(sample_time_s), x, x2))
-    return found
 
 
 def iae(columns: Columns, region: int) -> float:

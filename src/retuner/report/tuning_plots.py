@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 from matplotlib import colormaps
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
@@ -12,7 +11,7 @@ from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.loop.optimum import optimal_pi, references
 from retuner.adaptive.loop.performance import performance, weighted_cost
 from retuner.adaptive.loop.simulate import StepResponse, step_response
-from retuner.adaptive.process.model import LinearProcess, ProcessModel
+from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.rules.rule import ControllerKind
 from retuner.adaptive.rules.simc import simc, without_second_lag
 from retuner.decision_page.looks import AFTER, BEFORE, SETPOINT
@@ -38,7 +37,12 @@ def responses_figure(model: ProcessModel, rows: tuple[RuleRow, ...]) -> Figure:
     window = 4 * (resets[len(resets) // 2] if resets else 0.0) + 10 * model.theta_s + 2 * model.tau2_s or 1.0
     figure = Figure(figsize=(5.4 * max(len(kinds), 1) + 1, 6.6))
     axes = figure.subplots(2, max(len(kinds), 1), sharex=True, sharey="row", squeeze=False, height_ratios=(2, 1))
-    load = _load_size(model.linear(), stable, window)
+    process = model.linear()
+    loads = [step_response(process, row.result.tuning.gains, window, load=True) for row in stable]
+    peaks = [float(np.max(np.abs(one.pv))) for one in loads]
+    middle = sorted(peaks)[len(peaks) // 2] if peaks else 1.0
+    size = 1 / (3 * middle) if middle else 1.0
+    load = math.copysign(float(f"{size:.1g}"), process.k)
     colours = colormaps["tab20"]
     names = list(dict.fromkeys(row.result.tuning.rule for row in stable))
     lines: dict[str, Line2D] = {}
@@ -69,27 +73,13 @@ def responses_figure(model: ProcessModel, rows: tuple[RuleRow, ...]) -> Figure:
     axes[1, 0].set_ylabel("co")
     low, high = axes[0, 0].get_ylim()
     axes[0, 0].set_ylim(max(low, 1 - SHOWN), min(high, 1 + SHOWN))
-    _limit_output(axes[1, 0], stable)
-    return figure
-
-
-def _limit_output(panel: Axes, stable: list[RuleRow]) -> None:
-    """Leave the widest outputs out of the scale, so that the others can be read."""
+    panel = axes[1, 0]
     sizes = sorted(abs(row.result.tuning.gains.kp) for row in stable)
-    if not sizes or not sizes[len(sizes) // 2]:
-        return
-    low, high = panel.get_ylim()
-    room = 3 * sizes[len(sizes) // 2] + 2
-    panel.set_ylim(max(low, -room), min(high, room))
-
-
-def _load_size(process: LinearProcess, stable: list[RuleRow], window_s: float) -> float:
-    """A load in co units that moves the process value by about a third of the setpoint step."""
-    loads = [step_response(process, row.result.tuning.gains, window_s, load=True) for row in stable]
-    peaks = [float(np.max(np.abs(one.pv))) for one in loads]
-    middle = sorted(peaks)[len(peaks) // 2] if peaks else 1.0
-    size = 1 / (3 * middle) if middle else 1.0
-    return math.copysign(float(f"{size:.1g}"), process.k)
+    if sizes and sizes[len(sizes) // 2]:
+        low, high = panel.get_ylim()
+        room = 3 * sizes[len(sizes) // 2] + 2
+        panel.set_ylim(max(low, -room), min(high, room))
+    return figure
 
 
 @settings()

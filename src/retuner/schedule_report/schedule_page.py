@@ -190,7 +190,24 @@ def schedule_figure(found: ScheduleDesign, windows: Sequence[Window]) -> Figure:
     grid = figure.add_gridspec(
         4, 2, height_ratios=(1.15, 1, 1, 1), hspace=0.28, wspace=0.14, left=0.06, right=0.955, top=0.94, bottom=0.05
     )
-    _records(figure.add_subplot(grid[0, :]), found, windows)
+    axes = figure.add_subplot(grid[0, :])
+    begin = 0.0
+    for i, window in enumerate(windows):
+        hours = (begin + window.t_s - window.t_s[0]) / 3600.0
+        axes.plot(*thinned(hours, window.pv, MOST_POINTS), color=PV, lw=0.8, label=None if i else "pv")
+        axes.plot(*thinned(hours, window.sp, MOST_POINTS), color=SP, lw=0.8, ls="--", label=None if i else "setpoint")
+        begin += float(window.t_s[-1] - window.t_s[0]) * 1.02
+    if found.table is not None and found.variable in {"sp", "pv"}:
+        for i, (low, high) in enumerate(pairwise([-1e9, *found.layout.edges[1:-1], 1e9])):
+            axes.axhspan(low, high, color=BANDS[i % len(BANDS)], lw=0, zorder=0)
+    every_pv = np.concatenate([window.pv for window in windows])
+    room = 0.05 * float(np.ptp(every_pv))
+    axes.set_ylim(float(every_pv.min()) - room, float(every_pv.max()) + room)
+    axes.margins(x=0)
+    axes.set_xlabel("time [h]")
+    told = ", coloured by the regions that follow from them" if found.table is not None else ""
+    axes.set_title(f"the records{told}", loc="left", fontsize=10)
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.985), fontsize=8, frameon=False, ncols=2)
     first: Axes | None = None
     for i, (name, label) in enumerate(CURVES):
         axes = figure.add_subplot(grid[1 + i, 0], sharex=first)
@@ -239,27 +256,6 @@ def _dress(axes: "Axes", found: ScheduleDesign) -> None:
     edges = found.layout.edges
     for x in edges[1:-1] if hard else [(a + b) / 2 for a, b in pairwise(edges)]:
         axes.axvline(x, color=MARK, lw=0.8, ls="--" if hard else ":")
-
-
-def _records(axes: "Axes", found: ScheduleDesign, windows: Sequence[Window]) -> None:
-    """pv and setpoint of all records, one after the other, coloured by the part of the table that is in force."""
-    begin = 0.0
-    for i, window in enumerate(windows):
-        hours = (begin + window.t_s - window.t_s[0]) / 3600.0
-        axes.plot(*thinned(hours, window.pv, MOST_POINTS), color=PV, lw=0.8, label=None if i else "pv")
-        axes.plot(*thinned(hours, window.sp, MOST_POINTS), color=SP, lw=0.8, ls="--", label=None if i else "setpoint")
-        begin += float(window.t_s[-1] - window.t_s[0]) * 1.02
-    if found.table is not None and found.variable in {"sp", "pv"}:
-        for i, (low, high) in enumerate(pairwise([-1e9, *found.layout.edges[1:-1], 1e9])):
-            axes.axhspan(low, high, color=BANDS[i % len(BANDS)], lw=0, zorder=0)
-    every_pv = np.concatenate([window.pv for window in windows])
-    room = 0.05 * float(np.ptp(every_pv))
-    axes.set_ylim(float(every_pv.min()) - room, float(every_pv.max()) + room)
-    axes.margins(x=0)
-    axes.set_xlabel("time [h]")
-    told = ", coloured by the regions that follow from them" if found.table is not None else ""
-    axes.set_title(f"the records{told}", loc="left", fontsize=10)
-    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.985), fontsize=8, frameon=False, ncols=2)
 
 
 STYLES = ("-", "--", ":")  # line styles at the low end, the middle and the high end of a second variable

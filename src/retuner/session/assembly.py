@@ -60,7 +60,8 @@ def locks(names: Sequence[str]) -> Locks:
 def retuner_settings(config: Config, mode: Mode | None = None) -> RetunerSettings:
     """The retuner's settings; mode overrides the configured one. A device that is only watched is only advised on."""
     a, loop = config.adaptation, config.loop
-    mode = _permitted(config, mode)
+    if _of_foreign(config, "advice_only"):
+        mode = min(mode or Mode(config.adaptation.mode), Mode.ADVISE, key=list(Mode).index)
     # what may be done where no process can be identified: [adaptation.pattern]
     pattern = config.adaptation.pattern
     settings = RetunerSettings(
@@ -86,13 +87,6 @@ def retuner_settings(config: Config, mode: Mode | None = None) -> RetunerSetting
         units=_of_foreign(config, "vendor_units"),
     )
     return demanded(settings)
-
-
-def _permitted(config: Config, mode: Mode | None) -> Mode | None:
-    """The mode given for the run, or less where nothing may be written to the device."""
-    if not _of_foreign(config, "advice_only"):
-        return mode
-    return min(mode or Mode(config.adaptation.mode), Mode.ADVISE, key=list(Mode).index)
 
 
 def region_modes(config: Config, mode: Mode | None = None) -> tuple[Mode | None, ...]:

@@ -195,7 +195,20 @@ class GainWriter:
         if self.retuner.turned:  # not the way back either: the controller acts the other way, and a person has to look
             self._drop("the controller acts in the other direction")
             return
-        self._settle(running)
+        # A write of which nobody knows the end, because the session died in it: what runs tells
+        region, trials = self.retuner.region, self.retuner.trials
+        for at in trials.undecided + trials.restoring:
+            trial = trials.of(at)
+            if trial.ran or trial.new is None or self.machine.phase is not WriterPhase.IDLE:
+                continue
+            meant = WantedSet(Why.RETUNE, at, trial.new, None, trial.new)
+            if at == region and change_factor(self._here(meant).gains, running.gains) <= SAME_GAINS:
+                self._came_about(meant, running.seq, running)
+            elif trial.phase is TrialPhase.WRITING:
+                reason = "the session ended in the middle of it, and it does not run"
+                body = {"why": Why.RETUNE, "region": self._name(at), "decision": None, "reason": reason}
+                self._to_ledger("dropped", self.t_s, body)
+                self.retuner.not_written(at)
         wanted = self._to_restore(running, now_s) if self.restoring else self._wanted(running.gains)
         if wanted is not None and (not self.frozen or wanted.why == Why.RESTORE):
             self._begin(running, wanted, now_s)
@@ -308,22 +321,6 @@ class GainWriter:
         self._under_way = wanted
         if wanted.why == Why.RETUNE:
             self._pending = None
-
-    def _settle(self, running: RunningSet) -> None:
-        """A write of which nobody knows the end, because the session died in it: what runs tells."""
-        region, trials = self.retuner.region, self.retuner.trials
-        for at in trials.undecided + trials.restoring:
-            trial = trials.of(at)
-            if trial.ran or trial.new is None or self.machine.phase is not WriterPhase.IDLE:
-                continue
-            wanted = WantedSet(Why.RETUNE, at, trial.new, None, trial.new)
-            if at == region and change_factor(self._here(wanted).gains, running.gains) <= SAME_GAINS:
-                self._came_about(wanted, running.seq, running)
-            elif trial.phase is TrialPhase.WRITING:
-                reason = "the session ended in the middle of it, and it does not run"
-                body = {"why": Why.RETUNE, "region": self._name(at), "decision": None, "reason": reason}
-                self._to_ledger("dropped", self.t_s, body)
-                self.retuner.not_written(at)
 
     def _to_restore(self, running: RunningSet, now_s: float) -> WantedSet | None:
         """The verified set, unless it runs: then this is the proof of it.

@@ -47,7 +47,20 @@ def audit(options: AuditOptions) -> int:
         )
     with ResultStore(options.out) as store:
         write_joined(options.out / JOINED, found)
-        stopped = _work(found, settings, options, store)
+        store.drop_others(set(found.tags))
+        share = options.diagnose / 100
+        # say how long a long audit takes, and how to have it sooner
+        told = expected(len(found.tags), options.stretches, options.diagnose / 100, options.jobs or processes())
+        if told and not (options.scheduler or options.as_json or quiet()):
+            sys.stderr.write(told + "\n")
+        first = screening(found.tasks, settings, store.done(), share)
+        if _pass(first, found.tags, options, store, "screened" if share < 1 else "loops"):
+            stopped = True
+        elif share >= 1 or settings.stretches == 0:
+            stopped = False
+        else:
+            then = diagnosing(found.tasks, settings, store.rows(), store.done(), share)
+            stopped = _pass(then, tuple(tag for task in then.signed for tag in task.tags), options, store, "diagnosed")
         rows = write_results(options.out, store.rows(), before, found.refused, options.sources, options.area, units)
     _tell(rows, found, options)
     if stopped:
@@ -63,23 +76,6 @@ def _refuse_pattern(option: str, text: str) -> None:
         re.compile(text)
     except re.error as error:
         raise UserError(f"{option} {text}: {error}; give a regular expression") from error
-
-
-def _work(found: Catalogue, settings: AuditSettings, options: AuditOptions, store: ResultStore) -> bool:
-    """Do what is not done yet; whether it was stopped by Ctrl-C, with what was done kept."""
-    store.drop_others(set(found.tags))
-    share = options.diagnose / 100
-    # say how long a long audit takes, and how to have it sooner
-    told = expected(len(found.tags), options.stretches, options.diagnose / 100, options.jobs or processes())
-    if told and not (options.scheduler or options.as_json or quiet()):
-        sys.stderr.write(told + "\n")
-    first = screening(found.tasks, settings, store.done(), share)
-    if _pass(first, found.tags, options, store, "screened" if share < 1 else "loops"):
-        return True
-    if share >= 1 or settings.stretches == 0:
-        return False
-    then = diagnosing(found.tasks, settings, store.rows(), store.done(), share)
-    return _pass(then, tuple(tag for task in then.signed for tag in task.tags), options, store, "diagnosed")
 
 
 def _pass(some: Pass, tags: Sequence[str], options: AuditOptions, store: ResultStore, what: str) -> bool:

@@ -100,7 +100,20 @@ def diagnose(options: DiagnoseOptions) -> int:
     assumed = tuple(dict.fromkeys(one for read in records for one in read.assumed))
     assumed += days_told(len(windows), len(records))
     tell_assumed(assumed, options)
-    aims, aimed = _aimed(found, options)
+    rule, model = AIMS[options.aim], found.result.model
+    if rule is None:
+        aims, aimed = [], None
+    elif model is None:
+        aims, aimed = [f"{options.aim:<{NAME}}none: the record does not tell the process"], None
+    else:
+        low, high = np.percentile(found.window.co, USUAL).tolist()
+        u0 = options.u0 if options.u0 is not None else high - low
+        with user_input(f"--aim {options.aim}"):
+            settings = tune(model, rule, u0=u0, y_max=options.ymax)
+        what = f"for a step of the load by {u0:.3g} of co pv goes {abs(options.ymax or 0.0):.3g} at most"
+        note = "".join(f"; {one}" for one in settings.tuning.notes)
+        line = f"{options.aim:<{NAME}}{settings_text(settings.gains)}: {what}{note}"
+        aims, aimed = [line], {"aim": options.aim, "u0": u0, "ymax": options.ymax, **settings.to_dict()}
     read_as = {"records": len(records), "assumed": [a.what for a in assumed]}
     lines = [*described(found), *(f"  {line}" for line in aims)]
     lines += evidence_of(found) if options.with_evidence else []
@@ -111,26 +124,6 @@ def diagnose(options: DiagnoseOptions) -> int:
 AIMS = {"tight": None, "smooth": "simc-smooth", "averaging": "averaging"}
 """Rules of the aims; tight control is what is recommended anyway."""
 USUAL = (5.0, 95.0)  # percentiles of co between which it moves because of loads
-
-
-def _aimed(found: DiagnosedRecord, options: DiagnoseOptions) -> tuple[list[str], dict[str, object] | None]:
-    """Settings for another aim than tight control on the process that was identified: in lines, and as JSON.
-
-    Raises UserError: the rule has no settings for this process, or --ymax leaves no room.
-    """
-    rule, model = AIMS[options.aim], found.result.model
-    if rule is None:
-        return [], None
-    if model is None:
-        return [f"{options.aim:<{NAME}}none: the record does not tell the process"], None
-    low, high = np.percentile(found.window.co, USUAL).tolist()
-    u0 = options.u0 if options.u0 is not None else high - low
-    with user_input(f"--aim {options.aim}"):
-        settings = tune(model, rule, u0=u0, y_max=options.ymax)
-    what = f"for a step of the load by {u0:.3g} of co pv goes {abs(options.ymax or 0.0):.3g} at most"
-    note = "".join(f"; {one}" for one in settings.tuning.notes)
-    line = f"{options.aim:<{NAME}}{settings_text(settings.gains)}: {what}{note}"
-    return [line], {"aim": options.aim, "u0": u0, "ymax": options.ymax, **settings.to_dict()}
 
 
 def document(found: DiagnosedRecord) -> dict[str, object]:

@@ -42,7 +42,10 @@ def identify(options: IdentifyOptions) -> int:
             )
         limits = {"co_min": options.co_min, "co_max": options.co_max}
         with user_input(f"{recording.source}, --bounds {options.bounds}"), busy(f"identifying {recording.source}"):
-            bounds = _bounds(options.bounds)
+            try:
+                bounds = [float(one) for one in options.bounds.split(",")]
+            except ValueError:
+                raise ValueError("give numbers with commas between them, as in --bounds 40,70") from None
             by = signals[options.region_by]
             regions = identify_by_region(window, by, bounds, open_loop=options.open_loop, gains=gains, **limits)
         tell_assumed(read.assumed, options)
@@ -69,14 +72,6 @@ def identify(options: IdentifyOptions) -> int:
     more = {"diagnosis": said, "assumed": [a.what for a in assumed]}
     tell(found.to_dict() | more, [*described(found), *told], as_json=options.as_json)
     return 0 if found.estimate.identifiable else 1
-
-
-def _bounds(text: str) -> list[float]:
-    """Borders of regions; raises ValueError: not all are numbers."""
-    try:
-        return [float(one) for one in text.split(",")]
-    except ValueError:
-        raise ValueError("give numbers with commas between them, as in --bounds 40,70") from None
 
 
 def _region_lines(region: RegionIdentification, options: IdentifyOptions) -> list[str]:

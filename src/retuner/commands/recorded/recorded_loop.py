@@ -51,7 +51,20 @@ def _check_options(options: RecordOptions) -> None:
 
 def _checked(read: LoopRecord, options: RecordOptions) -> LoopRecord:
     """The record as far as it is wanted, where it is one of a loop."""
-    read = _cut(read, options)
+    if options.begin or options.end:
+        recording = read.recording
+        t_s = recording.t_s
+        first = _moment_s(read, "--from", options.begin, options.zone) if options.begin else float(t_s[0])
+        last = _moment_s(read, "--to", options.end, options.zone) if options.end else float(t_s[-1])
+        kept = (t_s >= first) & (t_s <= last)
+        if (left := np.count_nonzero(kept)) < FEWEST_SAMPLES:
+            raise UserError(
+                f"{recording.source}: from {first:g} s to {last:g} s there are {left} samples; the record runs from "
+                f"{t_s[0]:g} s to {t_s[-1]:g} s"
+            )
+        sp = None if recording.sp is None else recording.sp[kept]
+        part = Recording(recording.source, t_s[kept], recording.pv[kept], recording.co[kept], sp)
+        read = replace(read, recording=part, others={name: values[kept] for name, values in read.others.items()})
     if not options.open_loop:
         require_setpoint(read.recording)
     # Refuse limits in another unit than the record's: most of co lies beyond them
@@ -66,25 +79,6 @@ def _checked(read: LoopRecord, options: RecordOptions) -> LoopRecord:
                 f"{name} {limit:g}: co runs from {low:g} to {high:g} in {recording.source}; give the limits in its unit"
             )
     return read
-
-
-def _cut(read: LoopRecord, options: RecordOptions) -> LoopRecord:
-    """The record from --from to --to. Raises UserError: a time is none, or hardly anything is left between them."""
-    if not options.begin and not options.end:
-        return read
-    recording = read.recording
-    t_s = recording.t_s
-    first = _moment_s(read, "--from", options.begin, options.zone) if options.begin else float(t_s[0])
-    last = _moment_s(read, "--to", options.end, options.zone) if options.end else float(t_s[-1])
-    kept = (t_s >= first) & (t_s <= last)
-    if (left := np.count_nonzero(kept)) < FEWEST_SAMPLES:
-        raise UserError(
-            f"{recording.source}: from {first:g} s to {last:g} s there are {left} samples; the record runs from "
-            f"{t_s[0]:g} s to {t_s[-1]:g} s"
-        )
-    sp = None if recording.sp is None else recording.sp[kept]
-    part = Recording(recording.source, t_s[kept], recording.pv[kept], recording.co[kept], sp)
-    return replace(read, recording=part, others={name: values[kept] for name, values in read.others.items()})
 
 
 def _moment_s(read: LoopRecord, option: str, text: str, zone: str) -> float:

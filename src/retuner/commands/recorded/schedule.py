@@ -14,7 +14,6 @@ from retuner.commands.recorded.record_options import read_record, tell_assumed
 from retuner.commands.recorded.recorded_loop import require_length
 from retuner.commands.signatures import ScheduleOptions
 from retuner.decision_page.shown_units import chosen_units, show_units
-from retuner.drivers.historian.assumption import Assumption
 from retuner.drivers.historian.loop_record import LoopRecord
 from retuner.drivers.recorded.recording import RecordingError, require_excitation, require_setpoint
 from retuner.errors import UserError, user_input
@@ -61,7 +60,7 @@ def schedule(options: ScheduleOptions) -> int:
         # progress on the error stream, a line every PATIENCE_S at the most and none before that
         told = [time.monotonic()]
 
-        def tell(stage: str, share: float) -> None:
+        def say(stage: str, share: float) -> None:
             now = time.monotonic()
             if now - told[0] >= PATIENCE_S and not quiet():
                 told[0] = now
@@ -82,13 +81,16 @@ def schedule(options: ScheduleOptions) -> int:
             name=options.name or records[0].tag or options.files[0].stem,
             unit=options.unit,
             gains=_active(options, records, gain_columns),
-            progress=tell,
+            progress=say,
         )
     assumed = tuple(dict.fromkeys(a for one in records for a in one.assumed))
     windows = [one.recording.window() for one in records]
     written = _written(found, windows, options)
     tell_assumed(assumed, options)
-    _tell(found, assumed, written, _other(windows, options), options)
+    other = _other(windows, options)
+    said = {"diagnosis": None if other is None else other.to_dict(), "assumed": [a.what for a in assumed]}
+    lines = [*described(found), *contradiction(other), *(f"{path} written" for path in written)]
+    tell(found.to_dict() | said | {"files": [str(p) for p in written]}, lines, as_json=options.as_json)
     return 0 if found.table is not None else 1
 
 
@@ -157,30 +159,9 @@ def _other(windows: list[Window], options: ScheduleOptions) -> Diagnosis | None:
     return None if told is None or told.cause in {Cause.NONLINEAR, Cause.UNKNOWN} else told
 
 
-def _tell(
-    found: ScheduleDesign,
-    assumed: tuple[Assumption, ...],
-    written: list[Path],
-    other: Diagnosis | None,
-    options: ScheduleOptions,
-) -> None:
-    said = {"diagnosis": None if other is None else other.to_dict(), "assumed": [a.what for a in assumed]}
-    lines = [*described(found), *contradiction(other), *(f"{path} written" for path in written)]
-    tell(found.to_dict() | said | {"files": [str(p) for p in written]}, lines, as_json=options.as_json)
-
-
 def described(found: ScheduleDesign) -> list[str]:
     """A design in lines."""
     along = " and ".join(filter(None, (found.variable, found.second)))
-    lines = [f"{along}: {found.reason}", *(told for told in (variable_sentence(found),) if told), *_place_lines(found)]
-    if found.table is not None:
-        lines += ["", schedule_section(found.table).rstrip()]
-    doubts = [told for told in (aim_sentence(found), push_sentence(found), limit_sentence(found)) if told]
-    last = [told for told in (message_sentence(found),) if told]
-    return [*lines, "", *doubts, *motion_sentences(found), experiment_sentence(found), *last]
-
-
-def _place_lines(found: ScheduleDesign) -> list[str]:
     units = chosen_units()
     heads = (("Kc", 10), ("tau_I", 8)) if units is None else ((units.heads, max(len(units.heads), 19)),)
     columns = (("k", 9), ("tau", 8), ("theta", 8), ("+- Kc", 8), *heads, ("Ms", 7), ("J", 5))
@@ -199,4 +180,9 @@ def _place_lines(found: ScheduleDesign) -> list[str]:
             else:
                 row += f" {units.short(gains):>{columns[4][1]}}   {judged.ms:5.2f} {judged.j:5.2f}"
         lines.append(row if place.known else f"{row}   not accurate enough")
-    return lines
+    lines = [f"{along}: {found.reason}", *(told for told in (variable_sentence(found),) if told), *lines]
+    if found.table is not None:
+        lines += ["", schedule_section(found.table).rstrip()]
+    doubts = [told for told in (aim_sentence(found), push_sentence(found), limit_sentence(found)) if told]
+    last = [told for told in (message_sentence(found),) if told]
+    return [*lines, "", *doubts, *motion_sentences(found), experiment_sentence(found), *last]

@@ -28,7 +28,25 @@ def tune(options: TuneOptions) -> int:
         An option is out of its range, or no rule has an answer for this process.
     """
     check_plot(options.plot)
-    model = _model(options)
+    if options.type is None:
+        if options.k is not None or any((options.tau1, options.tau2, options.theta, options.inverse, options.tau3)):
+            raise UserError(f"--type is missing: give one of {', '.join(ProcessType)}")
+        model = None
+    else:
+        if options.type not in set(ProcessType):
+            raise UserError(f"--type {options.type}: give one of {', '.join(ProcessType)}")
+        if options.k is None:
+            raise UserError("--k is missing: the steady-state gain, or the slope gain per second of integrating types")
+        # Refuse a zero on the wrong side, or where the type has none
+        side = ZERO_SIDE.get(ProcessType(options.type), 0)
+        if not math.isfinite(options.inverse) or (options.inverse > 0) - (options.inverse < 0) != side:
+            needs = f"needs one {'above' if side > 0 else 'below'} 0, in seconds" if side else "has none; leave it out"
+            raise UserError(f"--inverse {options.inverse:g}: --type {options.type} {needs}")
+        with user_input("retuner tune"):
+            lags = (options.tau1, options.tau2, options.theta)
+            model = ProcessModel(
+                ProcessType(options.type), options.k, *lags, inverse_s=options.inverse, tau3_s=options.tau3
+            )
     return _by_every_rule(model, options) if options.everything else _by_one_rule(model, options)
 
 
@@ -38,34 +56,23 @@ def _wishes(options: TuneOptions) -> dict[str, float | None]:
     return {"y_max": options.ymax, **{name: getattr(options, name) for name in names}}
 
 
-def _model(options: TuneOptions) -> ProcessModel | None:
-    """The process that the options describe, or None when they describe none.
-
-    Raises UserError: only a part of a model is given, or a value is out of its range.
-    """
-    if options.type is None:
-        if options.k is not None or any((options.tau1, options.tau2, options.theta, options.inverse, options.tau3)):
-            raise UserError(f"--type is missing: give one of {', '.join(ProcessType)}")
-        return None
-    if options.type not in set(ProcessType):
-        raise UserError(f"--type {options.type}: give one of {', '.join(ProcessType)}")
-    if options.k is None:
-        raise UserError("--k is missing: the steady-state gain, or the slope gain per second of integrating types")
-    # Refuse a zero on the wrong side, or where the type has none
-    side = ZERO_SIDE.get(ProcessType(options.type), 0)
-    if not math.isfinite(options.inverse) or (options.inverse > 0) - (options.inverse < 0) != side:
-        needs = f"needs one {'above' if side > 0 else 'below'} 0, in seconds" if side else "has none; leave it out"
-        raise UserError(f"--inverse {options.inverse:g}: --type {options.type} {needs}")
-    with user_input("retuner tune"):
-        lags = (options.tau1, options.tau2, options.theta)
-        return ProcessModel(ProcessType(options.type), options.k, *lags, inverse_s=options.inverse, tau3_s=options.tau3)
-
-
 def _by_one_rule(model: ProcessModel | None, options: TuneOptions) -> int:
     with user_input("retuner tune"), busy("tuning"):
         result = tune_model(model, options.rule, kind=options.kind, form=options.form, **_wishes(options))
     if options.plot is not None:
-        _draw_one(model, result, options.plot)
+        if model is None:
+            raise UserError("--plot needs the process: give --type, --k, --tau1, --tau2, --theta")
+        if result.margins is None or not result.margins.stable:
+            raise UserError("--plot: the closed loop would be unstable, so there is no response to draw")
+        if result.tuning.rule != "optimal":
+            _draw(model, (RuleRow(result, performance(model.linear(), result.tuning.gains), None),), options.plot)
+        else:
+            from retuner.decision_page.svg import drawn
+            from retuner.report.tuning_plots import pareto_figure
+
+            with user_input("--plot"):
+                picture = drawn(pareto_figure(model), "J over Ms", options.plot.suffix)
+            options.plot.write_bytes(picture)
     units = controller_units(options.controller, options.pv_span, options.action)
     dial = dialled(result, options.pv_span) if options.pv_span is not None and units is None else {}
     dial |= dialled_in(result, units) if units is not None else {}
@@ -87,23 +94,6 @@ def _by_every_rule(model: ProcessModel | None, options: TuneOptions) -> int:
     shown = {"model": model.to_dict(), **found.to_dict(), "plot": str(options.plot) if options.plot else None}
     tell(shown, table(found), as_json=options.as_json)
     return 0 if any(row.result.margins and row.result.margins.stable for row in found.rows) else 1
-
-
-def _draw_one(model: ProcessModel | None, result: TuneResult, path: Path) -> None:
-    """The responses of one rule, or the Pareto curve for rule optimal."""
-    if model is None:
-        raise UserError("--plot needs the process: give --type, --k, --tau1, --tau2, --theta")
-    if result.margins is None or not result.margins.stable:
-        raise UserError("--plot: the closed loop would be unstable, so there is no response to draw")
-    if result.tuning.rule != "optimal":
-        _draw(model, (RuleRow(result, performance(model.linear(), result.tuning.gains), None),), path)
-        return
-    from retuner.decision_page.svg import drawn
-    from retuner.report.tuning_plots import pareto_figure
-
-    with user_input("--plot"):
-        picture = drawn(pareto_figure(model), "J over Ms", path.suffix)
-    path.write_bytes(picture)
 
 
 def _draw(model: ProcessModel, rows: tuple[RuleRow, ...], path: Path) -> None:
