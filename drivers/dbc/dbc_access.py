@@ -99,7 +99,18 @@ class DbcAccess:
         self._queue: list[can.Message] = []
         self._last: dict[Slot, dict[str, float]] = {}
         self.damaged = 0  # frames refused for their checksum, counter or content
-        self.telemetry = frozenset(self._listen())
+        mapping, names = self._mapping, ["pv", "co"]
+        self._hear("pv", mapping.pv, ("pv",))
+        self._hear("co", mapping.co, ("co",))
+        if mapping.sp is not None:
+            self._hear("sp", mapping.sp, ("sp",))
+            names.append("sp")
+        if mapping.mode is not None:
+            self._watch(mapping.mode, ("mode",), stop=False)
+            names.append("mode")
+        for i, states in enumerate(mapping.stops):
+            self._watch(states, ("stop", i), stop=True)
+        self.telemetry = frozenset(names)
         self.units = self._take_gains()
         self.reads_back = bool(mapping.gains) and all(gain.read is not None for gain in mapping.gains)
         self.on_request = frozenset(self._requests) & self.telemetry
@@ -140,21 +151,6 @@ class DbcAccess:
             self._requests[name] = place
         if at.on_request and at.ask is not None:
             self._asks[name] = ask_frame(self._file, at.ask, key)
-
-    def _listen(self) -> list[str]:
-        """Telemetry and states; the names of what is heard."""
-        mapping, names = self._mapping, ["pv", "co"]
-        self._hear("pv", mapping.pv, ("pv",))
-        self._hear("co", mapping.co, ("co",))
-        if mapping.sp is not None:
-            self._hear("sp", mapping.sp, ("sp",))
-            names.append("sp")
-        if mapping.mode is not None:
-            self._watch(mapping.mode, ("mode",), stop=False)
-            names.append("mode")
-        for i, states in enumerate(mapping.stops):
-            self._watch(states, ("stop", i), stop=True)
-        return names
 
     def _watch(self, states: States, key: Key, *, stop: bool) -> None:
         place = self._place(states.at, key)

@@ -155,20 +155,16 @@ def _shared(
     tasks = []
     for files, tags in together.items():
         if all(path.suffix.lower() == ".parquet" for path in files):
-            tasks += _of_parquet(files, tags, [held[path] for path in files])
+            sizes = [held[path] for path in files]
+            long = any(one.long for one in sizes)
+            rows = sum(one.rows // max(len(one.signals), 1) if one.long else one.rows for one in sizes)
+            count = max(min(MOST_ROWS // max(rows, 1), MANY if long else FEW), 1)
+            whole = not long and all(one.signals.get(tag, {}).keys() >= WHOLE for tag in tags for one in sizes)
+            in_pieces = rows > MOST_ROWS and whole
+            tasks += [Task(tuple(tags[i : i + count]), files, in_pieces=in_pieces) for i in range(0, len(tags), count)]
         else:
             tasks.append(Task(tuple(tags), files))
     return tasks
-
-
-def _of_parquet(files: tuple[Path, ...], tags: Sequence[str], held: Sequence[_HeldFile]) -> list[Task]:
-    """Tasks of as many loops as fit a piece, of one at least."""
-    long = any(one.long for one in held)
-    rows = sum(one.rows // max(len(one.signals), 1) if one.long else one.rows for one in held)
-    count = max(min(MOST_ROWS // max(rows, 1), MANY if long else FEW), 1)
-    whole = not long and all(one.signals.get(tag, {}).keys() >= WHOLE for tag in tags for one in held)
-    in_pieces = rows > MOST_ROWS and whole
-    return [Task(tuple(tags[i : i + count]), files, in_pieces=in_pieces) for i in range(0, len(tags), count)]
 
 
 def _held(path: Path, form: RecordForm) -> _HeldFile:

@@ -141,6 +141,15 @@ def decision_document(view: DecisionView) -> DecisionDocument:
     heading = "Predicted performance, against which the next responses are judged"
     if view.rolls_back:
         heading = f"Predicted performance of what {'is on trial' if stays(view.document) else 'was rolled back'}"
+    judged = []
+    for later in view.later:
+        told = (
+            _told(part(later, "judgement")) or words(later, "reason"),
+            change_text(later) if rolls_back(later) else "",
+        )
+        reason = " Then ".join(one for one in told if one)
+        when = f"{number(later, 't_s') or 0.0:,.0f}"
+        judged.append((f"{number(later, 'number') or 0:.0f}", when, reason, words(later, "trial")))
     sections = (
         PageSection("The response", (Drawing("response"), Text(_how_it_ended(view), "muted"))),
         PageSection("The trial: this response against the predicted performance", _judged_by(view)),
@@ -152,7 +161,7 @@ def decision_document(view: DecisionView) -> DecisionDocument:
             "Robustness and predicted responses", (Text(footing(view)), Drawing("robustness"), *_margins(view))
         ),
         PageSection(heading, (Table(heads, rows), Text(spread, "muted")) if rows else ()),
-        PageSection("What came of it", _later(view)),
+        PageSection("What came of it", _table(("decision", "time [s]", "result", "then"), judged)),
         PageSection("Ledger entry", _pairs(_whereabouts(view))),
     )
     return DecisionDocument(
@@ -453,17 +462,3 @@ def _judged(name: str, value: float, factor: float, unit: str) -> str:
     if value >= 0 or name == "overshoot":
         return _in(value, factor, unit)
     return "unstable" if name == "ms" else _in(None)
-
-
-def _later(view: DecisionView) -> Sequence[Block]:
-    """What came of a change: the later responses that were judged, and the rollback."""
-    rows = []
-    for later in view.later:
-        told = (
-            _told(part(later, "judgement")) or words(later, "reason"),
-            change_text(later) if rolls_back(later) else "",
-        )
-        reason = " Then ".join(one for one in told if one)
-        when = f"{number(later, 't_s') or 0.0:,.0f}"
-        rows.append((f"{number(later, 'number') or 0:.0f}", when, reason, words(later, "trial")))
-    return _table(("decision", "time [s]", "result", "then"), rows)

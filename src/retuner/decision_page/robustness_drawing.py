@@ -66,7 +66,14 @@ def _responses(left: int, view: DecisionView, process: LinearProcess, before: Pi
     top = Panel((left, PV[0], WIDTH, PV[1]), over, room([one.pv for one in reach], SHARE, *within))
     bottom = Panel((left, CO[0], WIDTH, CO[1]), over, room([one.co for one in reach], SHARE))
     if view.tried:
-        _spread(top, view.allowed[:MOST_RESPONSES], view.tried, until, scale, load=load)
+        t = np.linspace(0, until, 200)
+        others = [
+            np.interp(t, one.t, one.pv, left=0.0)
+            for one in (step_response(model, view.tried, until, load=load) for model in view.allowed[:MOST_RESPONSES])
+        ]
+        if others:
+            look = Stroke(AFTER, 0, opacity=0.2)
+            top.band(t / scale, np.min(others, axis=0), np.max(others, axis=0), look, "other models")
     for name, _, to, look in found:
         for panel, values, label in ((top, to.pv, name), (bottom, to.co, "")):
             panel.curve(*thinned(to.t / scale, values, 300), look, label)
@@ -123,17 +130,3 @@ def _from_zero(found: StepResponse, until_s: float) -> StepResponse:
     if t[0] > 0:
         t, pv, co = (np.concatenate([[0.0, first], rest]) for first, rest in ((t[0], t), (0.0, pv), (0.0, co)))
     return StepResponse(t, pv, co)
-
-
-def _spread(
-    panel: Panel, models: tuple[LinearProcess, ...], gains: PidGains, until_s: float, scale: float, *, load: bool
-) -> None:
-    """The band between the lowest and the highest response of the other models."""
-    t = np.linspace(0, until_s, 200)
-    found = [
-        np.interp(t, one.t, one.pv, left=0.0)
-        for one in (step_response(model, gains, until_s, load=load) for model in models)
-    ]
-    if found:
-        look = Stroke(AFTER, 0, opacity=0.2)
-        panel.band(t / scale, np.min(found, axis=0), np.max(found, axis=0), look, "other models")

@@ -185,7 +185,18 @@ class OnDemandExperiment:
             self._screen.say(f"not to be written: {forbidden}")
             outcome.written = forbidden
         elif runner.cause is None and usable and self._confirmed():
-            self._write()
+            end, before = self._outcome, self._runner.before
+            assert end.found is not None
+            assert end.found.chosen is not None
+            assert before is not None
+            writer = SettingsWriter(self._bench, self._config.loop.sample_time_s, self._to_ledger)
+            end.written = writer.write(end.found.chosen.tuning.gains, before.gains)
+            if end.written:
+                self._screen.say(f"NOT written: {end.written}")
+            else:
+                self._screen.say("written, read back and running; put them into the configuration to keep them")
+            with unstoppable():
+                end.leave()
         if self._as_json:
             sys.stdout.write(json.dumps(outcome.to_dict(), indent=2, allow_nan=False) + "\n")
         if runner.lost_ledger is not None:
@@ -279,18 +290,3 @@ class OnDemandExperiment:
                 return True
         self._screen.say("nothing was written; confirm the settings with --yes, or y when asked")
         return False
-
-    def _write(self) -> None:
-        """Write the chosen settings, on the set that ran when they were shown."""
-        outcome, before = self._outcome, self._runner.before
-        assert outcome.found is not None
-        assert outcome.found.chosen is not None
-        assert before is not None
-        writer = SettingsWriter(self._bench, self._config.loop.sample_time_s, self._to_ledger)
-        outcome.written = writer.write(outcome.found.chosen.tuning.gains, before.gains)
-        if outcome.written:
-            self._screen.say(f"NOT written: {outcome.written}")
-        else:
-            self._screen.say("written, read back and running; put them into the configuration to keep them")
-        with unstoppable():
-            outcome.leave()
