@@ -58,7 +58,10 @@ def read_eds(path: Path, node: int) -> Dictionary:
         raise ProfileError(f"{path}: cannot be read: {reason}; give the device's EDS file", ("eds",)) from None
     if len(raw) > LARGEST:
         raise ProfileError(f"{path}: is larger than {LARGEST >> 20} MB; is it an EDS?", ("eds",))
-    text = io.StringIO(plain_text(raw))
+    text = _decoded(raw).replace("\r\n", "\n").replace("\r", "\n").rstrip(END_OF_FILE)
+    text = NO_RATE.sub("", text)
+    there = {index.upper() for index in WHOLE.findall(text)}
+    text = io.StringIO(PART.sub(lambda found: _with_object(found, there), text))
     text.name = f"{path.stem}.eds"
     try:
         with contextlib.redirect_stderr(io.StringIO()):
@@ -206,14 +209,6 @@ PART = re.compile(r"^\[([0-9A-F]{4})sub([0-9A-F]{1,2})\][ \t]*$", re.IGNORECASE 
 WHOLE = re.compile(r"^\[([0-9A-F]{4})\]", re.IGNORECASE | re.MULTILINE)
 NO_RATE = re.compile(r"^BaudRate_\w+[ \t]*=[ \t]*\n", re.IGNORECASE | re.MULTILINE)
 END_OF_FILE = "\x1a\0"
-
-
-def plain_text(raw: bytes) -> str:
-    """The text in standard form. Whatever it holds beside, it is left for the reader to judge."""
-    text = _decoded(raw).replace("\r\n", "\n").replace("\r", "\n").rstrip(END_OF_FILE)
-    text = NO_RATE.sub("", text)
-    there = {index.upper() for index in WHOLE.findall(text)}
-    return PART.sub(lambda found: _with_object(found, there), text)
 
 
 def _decoded(raw: bytes) -> str:

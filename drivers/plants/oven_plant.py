@@ -63,10 +63,6 @@ class OvenSettings:
         radiated = self.radiating_area_m2 * STEFAN_BOLTZMANN * (kelvin**4 - jacket**4)
         return self.convection_w_k * (temp_c - self.jacket_c) + radiated
 
-    def loss_slope(self, temp_c: float) -> float:
-        """Slope of the loss over temperature, W/K."""
-        return self.convection_w_k + 4 * self.radiating_area_m2 * STEFAN_BOLTZMANN * (temp_c + KELVIN) ** 3
-
     def capacity(self, temp_c: float) -> float:
         """Heat capacity in J/K."""
         return self.heat_capacity_j_k * (1 + self.capacity_growth_1_k * (temp_c - REFERENCE_C))
@@ -162,6 +158,6 @@ class OvenPlant:
         settings = self.settings
         x = self.steady_co(pv) / 100.0
         slope_w = settings.power_w * (1 - settings.phase_share * math.cos(2 * math.pi * x)) / 100.0
-        loss = settings.loss_slope(pv)
+        loss = settings.convection_w_k + 4 * settings.radiating_area_m2 * STEFAN_BOLTZMANN * (pv + KELVIN) ** 3
         lags = (settings.capacity(pv) / loss, settings.tau_sensor_s)
         return LinearProcess(slope_w / loss, lags, (), settings.theta(pv))

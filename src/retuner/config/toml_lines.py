@@ -105,7 +105,12 @@ class _Scanner:
         if opening == "[":
             self.array(path)
         elif opening == "{":
-            self.inline_table(path)
+            self.at += 1
+            self.blank()
+            while self.text[self.at] != "}":
+                self.key_value(path)
+                self.skip_comma()
+            self.at += 1
         else:
             match = STRING.match(self.text, self.at) or BARE_VALUE.match(self.text, self.at)
             self.at = match.end() if match else self.at + 1
@@ -118,14 +123,6 @@ class _Scanner:
             self.mark((*path, index))
             self.value((*path, index))
             index += 1
-            self.skip_comma()
-        self.at += 1
-
-    def inline_table(self, path: Path) -> None:
-        self.at += 1
-        self.blank()
-        while self.text[self.at] != "}":
-            self.key_value(path)
             self.skip_comma()
         self.at += 1
 

@@ -27,24 +27,6 @@ OrderTaker = Callable[[float], Iterable[Decision]]
 """What a session has: given the time of a sample, the decisions on what was ordered by then."""
 
 
-def pretune_plan(config: Config) -> Plan:
-    """The step that the configuration asks for. Raises UserError: a setting is out of its range."""
-    loop, dt = config.loop, config.loop.sample_time_s
-    given = config.adaptation.pretune_step_pct
-    with user_input("adaptation.pretune_step_pct"):
-        return Plan(
-            kind=Experiment.STEP,
-            amplitude=DEFAULT_SHARE * (loop.co_max_pct - loop.co_min_pct) if given is None else given,
-            pv_low=loop.pv_min,
-            pv_high=loop.pv_max,
-            deviation=DEFAULT_DEVIATION * (loop.pv_max - loop.pv_min),
-            co_low=loop.co_min_pct,
-            co_high=loop.co_max_pct,
-            time_s=DEFAULT_SAMPLES * dt,
-            rest_time_s=REST_WAIT_SAMPLES * dt,
-        )
-
-
 class Pretuning:
     """One pretune.
 
@@ -55,7 +37,20 @@ class Pretuning:
 
     def __init__(self, config: Config, record: Recorder, tell: Callable[[str], None] | None = None) -> None:
         self._config, self._record, self._tell = config, record, tell
-        self._plan = pretune_plan(config)
+        loop, dt = config.loop, config.loop.sample_time_s
+        given = config.adaptation.pretune_step_pct
+        with user_input("adaptation.pretune_step_pct"):
+            self._plan = Plan(
+                kind=Experiment.STEP,
+                amplitude=DEFAULT_SHARE * (loop.co_max_pct - loop.co_min_pct) if given is None else given,
+                pv_low=loop.pv_min,
+                pv_high=loop.pv_max,
+                deviation=DEFAULT_DEVIATION * (loop.pv_max - loop.pv_min),
+                co_low=loop.co_min_pct,
+                co_high=loop.co_max_pct,
+                time_s=DEFAULT_SAMPLES * dt,
+                rest_time_s=REST_WAIT_SAMPLES * dt,
+            )
         self._samples: list[LoopSample] = []
 
     def conduct(self, device: Device, silent_s: float, turn: Callable[[], float]) -> None:
