@@ -387,7 +387,6 @@ class CanLink(Closes):
         self._stop_log()
 
     def _opened(self) -> can.BusABC | None:
-        """The bus, opened anew if it is down and the pause is over."""
         if self._bus is None and self._clock.now_s() >= self._next_open_s:
             try:
                 self._open()

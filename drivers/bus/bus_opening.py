@@ -172,5 +172,4 @@ class BusLog:
         return writer.file_size() if isinstance(writer, SizedMessageWriter) else self._path.stat().st_size
 
     def _part(self, number: int) -> Path:
-        """The file of a full part, counted from 1."""
         return self._path.with_name(f"{self._path.stem}-{number}{self._path.suffix}")

@@ -47,7 +47,6 @@ class GroupSocket(GeneralPurposeUdpMulticastBus):
             sock.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, LOOPBACK)
 
     def _join6(self, sock: socket.socket, group: bytes) -> None:
-        """Become a member on the interface that the machine chooses."""
         sock.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_MULTICAST_HOPS, self.hop_limit)
         sock.setsockopt(socket.IPPROTO_IPV6, IPV6_MULTICAST_ALL, 0)
         sock.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_JOIN_GROUP, group + struct.pack("@I", 0))

@@ -117,7 +117,6 @@ class CanOpenAccess:
         self._watched[name] = _Watch(states, source)
 
     def _gain(self, gain: GainAt, message: int) -> VendorGain:
-        """One gain, read back where it is written."""
         key: Key = ("gains", str(gain.quantity))
         place = self._place(gain.at, key, written=True)
         self._read[gain.quantity] = self._written[gain.quantity] = _ObjectPlace(place.variable)

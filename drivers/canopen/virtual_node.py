@@ -164,7 +164,6 @@ class VirtualCanOpenNode:
                 self.loop.sp = place.scale * float(value) + place.offset
 
     def _take_gain(self, name: str, number: float) -> None:
-        """Run with another number, if that makes a controller."""
         new = {**self.numbers, name: number}
         try:
             self.loop.take_gains(self.units.of(new))

@@ -322,7 +322,6 @@ class OnBus:
         return [message for message in messages if not self._is_last(message, token)]
 
     def _is_last(self, message: can.Message, token: int) -> bool:
-        """Whether it is the answer to the question behind all others."""
         frame = self._codec.decode(message)
         return not isinstance(frame, Refused) and isinstance(frame, wire.Challenge) and frame.token == token
 

@@ -265,7 +265,6 @@ class GainPages:
         return page_crc(set_crc(self._node, self._epoch, seq, gains), token)
 
     def _staged_gains(self) -> PidGains:
-        """The staged page as gains; the box has been asked before."""
         return PidGains(self._staged[wire.Item.KP], self._staged[wire.Item.KI], self._staged[wire.Item.KD])
 
     def _forget_staged(self) -> None:

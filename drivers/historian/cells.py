@@ -64,7 +64,6 @@ def _plain(column: Sequence[str]) -> bool:
 
 
 def _bare(text: str) -> str:
-    """A field without the state and the unit that may stand in it."""
     text = without_status(text)
     with_unit = WITH_UNIT.fullmatch(text)
     return with_unit["number"] if with_unit else text

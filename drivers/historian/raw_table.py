@@ -180,7 +180,6 @@ def _delimiter(lines: Sequence[str]) -> str:
 
 
 def _fields(path: Path, number: int, line: str, delimiter: str) -> list[str]:
-    """Fields of one line; quotes must close on it."""
     if delimiter == " ":
         return line.split()
     if '"' not in line:

@@ -147,7 +147,6 @@ def _plainest(table: RawTable, role: str, places: Sequence[int], form: RecordFor
 
 
 def _refuse_repeated(table: RawTable, place: int) -> None:
-    """Refuse a column whose name stands twice."""
     error = repeated(table, place)
     if error is not None:
         raise error

@@ -209,7 +209,6 @@ def _is_plain(signal: Signal) -> bool:
 
 
 def _alone(slot: int, piece: _Piece, place: int) -> _Alone:
-    """What is known beforehand of a signal that fills its bytes."""
     signal = piece.signals[0]
     is_bytes = 8 * piece.length not in CODES
     return _Alone(slot, is_bytes, piece.length, signal.is_signed, signal.scale, signal.offset, place)
@@ -299,7 +298,6 @@ class _Plan:
 
 @lru_cache(maxsize=1)
 def _plans() -> dict[int, _Plan]:
-    """Command number to plan, from the shipped DBC."""
     return plans_of(_database(), DBC)
 
 
@@ -323,7 +321,6 @@ def plans_of(database: Database, source: str) -> dict[int, _Plan]:
 
 
 def _plan(layout: Layout, source: str) -> _Plan:
-    """The plan of one frame; DbcError when its signals are not its class's fields."""
     make = NAMES[layout.name]
     by_field = {signal.name.lower(): signal for signal in layout.signals}
     names = [field.name for field in fields(make)]
@@ -340,7 +337,6 @@ def _plan(layout: Layout, source: str) -> _Plan:
 
 
 def _values(names: list[str]) -> Callable[[Frame], Sequence[float]]:
-    """What takes the fields of these names out of a frame."""
     get: Callable[[Frame], Any] = attrgetter(*names)
     return get if len(names) > 1 else lambda frame: (get(frame),)
 

@@ -132,7 +132,6 @@ def _scheduled(path: str, table: Mapping[str, FloatArray], name: str, own: Float
 
 
 def _gains(path: str, i: int, kp: float, ki: float, kd: float) -> PidGains:
-    """Recorded gains; RecordingError when no PID has them."""
     try:
         return PidGains(kp, ki, kd)
     except ValueError as error:

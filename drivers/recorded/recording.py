@@ -189,7 +189,6 @@ def _rows(path: Path) -> Iterator[tuple[int, str]]:
 
 
 def _fields(path: Path, number: int, text: str, delimiter: str) -> list[str]:
-    """Fields of one line; quotes must close on it."""
     if '"' not in text:
         return text.split(delimiter)
     try:
@@ -199,7 +198,6 @@ def _fields(path: Path, number: int, text: str, delimiter: str) -> list[str]:
 
 
 def _number(path: Path, number: int, name: str, field: str) -> float:
-    """A finite number in plain ASCII notation."""
     text = field.strip(" ")
     if NUMBER.fullmatch(text):
         value = float(text)

@@ -165,10 +165,6 @@ def _checked(name: str, check: Callable[[], str], remedy: str) -> MachineFinding
 
 
 def _there_and_back(interface: str, channel: str, options: dict[str, object]) -> str:
-    """Send a frame from one end of a bus of this machine to another.
-
-    Raises BusError, OSError: it cannot be opened, or the frame did not arrive.
-    """
     import can  # noqa: PLC0415  slow to load
 
     from retuner.drivers.bus.bus_opening import open_bus  # noqa: PLC0415
@@ -246,7 +242,6 @@ def _adapters() -> MachineFinding:
 
 
 def _timer() -> MachineFinding:
-    """How late this machine wakes a sleeper."""
     late_s = 0.0
     for _ in range(TIMER_TRIES):
         asleep_s = time.perf_counter()

@@ -204,7 +204,6 @@ class ScheduleDesign(display_hook.Shown):
 
 
 def _second_dict(regions: Regions, i: int) -> dict[str, float]:
-    """Ends on the second variable, where there is one."""
     if regions.second is None:
         return {}
     low, high = regions.span(i, 1)
@@ -349,7 +348,6 @@ def table_of(found: Design, name: str, unit: str) -> GainTable | None:
 
 
 def _axis(variable: str, unit: str, layout: Sequence[float], hysteresis: float, min_stay_s: float) -> Axis:
-    """One axis of the table. layout : its edges."""
     edges = [_rounded(edge) for edge in layout]
     own = variable in OWN
     return Axis(

@@ -191,7 +191,6 @@ def _is_long(names: Sequence[str]) -> bool:
 
 
 def _roles(names: Sequence[str], form: RecordForm) -> tuple[dict[str, dict[str, str]], tuple[str, ...]]:
-    """Names by tag and role, and those that have none. Of two for one role the first; reading tells of them."""
     signals: dict[str, dict[str, str]] = {}
     for tag, roles in loops([form.called(name) for name in names]).items():
         found = {role: names[places[0]] for role, places in roles.items() if role in SIGNALS}
@@ -213,7 +212,6 @@ def _of_columns(path: Path, names: Sequence[str], form: RecordForm) -> _HeldFile
 
 
 def _by_name(path: Path, pattern: str) -> str:
-    """The tag of a record without one: from its file's name."""
     match = re.search(pattern, path.name) if pattern else DATED.match(path.stem)
     if match is None:
         return path.stem

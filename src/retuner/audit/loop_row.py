@@ -275,7 +275,6 @@ def _told(tag: str, seen: _LoopRecords, screen: LoopScreen, verdict: LoopVerdict
 
 
 def _moment(begin_s: float | None, after_s: float) -> str | None:
-    """A moment of the record, where its times are of a calendar."""
     if begin_s is None:
         return None
     return datetime.fromtimestamp(begin_s + after_s, UTC).strftime("%Y-%m-%d %H:%M:%S")

@@ -340,7 +340,6 @@ def _with_pictures(folder: Path, rows: Iterable[Row], course: PlantCourse) -> It
 
 
 def _script(value: object) -> str:
-    """A value as JavaScript that no tag's name can leave."""
     return (
         json.dumps(value, allow_nan=False)
         .replace("<", "\\u003c")

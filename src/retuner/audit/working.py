@@ -161,7 +161,6 @@ def diagnosing(
 
 
 def _asked(row: Row) -> float:
-    """How much the screening asks for a diagnosis: a number of the row."""
     asked = row.get("asks")
     return float(asked) if isinstance(asked, (int, float)) else 0.0
 

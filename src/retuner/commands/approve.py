@@ -182,7 +182,6 @@ def _take_up(place: LoopPlace, full: str, options: ApproveOptions) -> int:
 
 
 def _gains_at_end(place: LoopPlace) -> GainTable | None:
-    """The table that the session left; None where there is none that can be read."""
     try:
         return from_toml((place.folder / GAINS).read_text(encoding="utf-8"))
     except (OSError, ValueError):

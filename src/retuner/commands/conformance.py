@@ -94,7 +94,6 @@ def _examined(
 
 
 def _the_node(heard: list[int], place: str) -> int:
-    """The one device that sends samples."""
     if len(heard) == 1:
         sys.stderr.write(f"node {heard[0]} found\n")
         return heard[0]

@@ -83,6 +83,5 @@ def _be(session: "SessionConfig", speed: float, until_s: float) -> None:
 
 
 def _told(samples: int, overruns: int, speed: float) -> None:
-    """How many samples the controllers made, and whether the machine was too slow for it."""
     slow = f": this machine is too slow for --speed {speed:g}" * (overruns > MANY_OVERRUNS * samples)
     sys.stderr.write(f"{samples} samples, {overruns} overruns{slow}\n")

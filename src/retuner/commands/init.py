@@ -222,7 +222,6 @@ steps = [
 
 
 def _composed(answers: StarterAnswers, source: str) -> str:
-    """One region, advice only; what is left out has its default."""
     kc, tau_i, tau_d = (in_form(answers.gains, Form.SERIES)[key] for key in ("kc", "tau_i", "tau_d"))
     return f"""# retuner configuration {source}.
 # `retuner check FILE` says what is wrong with it; docs/configuration.md has every key with its default.

@@ -189,7 +189,6 @@ def _table(lines: list[LedgerLine]) -> Table:
 
 
 def _several(lines: list[LedgerLine]) -> bool:
-    """Whether rows are of several loops, so that each must say of which."""
     return len({line.loop for line in lines if line.loop}) > 1
 
 

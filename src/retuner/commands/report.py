@@ -96,7 +96,6 @@ def _named(recorded: RecordedSession, rows: list[Row], decision: int) -> Row:
 
 
 def _data(recorded: RecordedSession, rows: list[Row], columns: Columns) -> ReportData:
-    """What the report tells of, out of the folder."""
     config = recorded.config
     before = config.gain_table()
     names = before.regions.names

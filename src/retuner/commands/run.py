@@ -97,7 +97,6 @@ def foreseen(config: Config) -> list[Warned]:
 
 
 def _wrong_signs(config: Config) -> Iterator[Warned]:
-    """Regions whose gains drive the plant away."""
     if config.device is None or config.device.plant is None:
         return
     plant, regions = product("plants").known_plant(config), config.regions()
@@ -138,7 +137,6 @@ def _limits_passed(config: Config) -> Iterator[Warned]:
 
 
 def _first_step(config: Config) -> Iterator[Warned]:
-    """The first setpoint step that takes the output to its limit at once."""
     if config.scenario is None:
         return
     room = config.loop.co_max_pct - config.loop.co_min_pct

@@ -336,7 +336,6 @@ def _loads(loads: Sequence[LoadConfig]) -> RecordedLoads | None:
 
 
 def _load(place: int, load: LoadConfig) -> RecordedLoad:
-    """One load: its column stands for all signals of a record, so that it is read as one is."""
     columns = {**dict.fromkeys(("pv", "sp", "co"), load.column), **({"t": load.time} if load.time else {})}
     try:
         read = read_loop_record([Path(load.file)], RecordForm(columns=columns)).recording

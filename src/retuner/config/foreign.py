@@ -76,8 +76,6 @@ class ObjectConfig(Section):
 
 
 class _StateSection(Section):
-    """What a state is told by."""
-
     expected: Many[Whole] = setting("Values that are as they should be", source="the device's manual")
     mask: int = setting("Bits that count", f"1..{2**32 - 1}", 2**32 - 1, "all")
     reason: str = setting("What is told otherwise", "0..128 characters", "", "the number itself")
@@ -105,8 +103,6 @@ class ObjectStateConfig(_StateSection):
 
 
 class _GainSection(Section):
-    """What every gain of a foreign controller has."""
-
     scale: float = _scale("Ours for one of the controller's; negative where it counts reverse action as positive")
     unit: Literal["", "s", "ms", "min"] = setting("Unit of a time", default="", source="s")
     off: float | None = setting("Number that stands for no such action", f"{-BIGGEST}..{BIGGEST}", None, "none does")

@@ -114,7 +114,6 @@ def _told(error: ErrorDetails, path: Path, document: Mapping[str, object]) -> It
 
 
 def _value(value: object) -> str:
-    """A value as TOML writes it, cut when long."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):
@@ -482,7 +481,6 @@ def written_out(session: SessionConfig) -> str:
 
 
 def _tables(settings: Mapping[str, object], header: str) -> str:
-    """Settings and one level of tables; header : of a table, with a place for its name."""
     plain = {name: value for name, value in settings.items() if not isinstance(value, dict)}
     tables = {name: value for name, value in settings.items() if isinstance(value, dict)}
     parts = ["\n".join(f"{name} = {_toml(value)}" for name, value in plain.items())]

@@ -102,7 +102,6 @@ AnyDevice = Annotated[
 
 
 def _in_seconds(region: RegionConfig, gains: PidGains) -> dict[str, float | None]:
-    """Gain and times of a region's form in %/pv and seconds, whatever units they are given in."""
     if region.dials == ControllerUnits().dials:
         return {"kc": math.copysign(region.dialled, gains.kp), "tau_i": region.integral_time_s, "tau_d": region.tau_d_s}
     return in_form(gains, region.form)

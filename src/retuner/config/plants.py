@@ -31,8 +31,6 @@ class LoadConfig(Section):
 
 
 class _PlantSection(Section):
-    """What every plant has."""
-
     loads: Many[LoadConfig] = setting("Recorded loads", default=(), source="none")
 
 
@@ -131,8 +129,6 @@ class ModelSection(_PlantSection):
 
 
 class _ForeignModelSection(ModelSection):
-    """What every model has that runs in a process of its own."""
-
     parameters: dict[str, Parameter] = setting(
         "Parameters and start values by name", default={}, source="the model's own"
     )

@@ -174,7 +174,6 @@ def decision_document(view: DecisionView) -> DecisionDocument:
 
 
 def _pairs(rows: Sequence[tuple[str, object]]) -> tuple[Pairs, ...]:
-    """Names and values; rows without a value are left out, and no rows are nothing."""
     told = [(name, str(value)) for name, value in rows if value]
     return (Pairs(told),) if told else ()
 
@@ -208,7 +207,6 @@ ENDINGS = {
 
 
 def _how_it_ended(view: DecisionView) -> str:
-    """How the recogniser ended, in words, and the numbers of the peaks."""
     response = view.response
     if not response:
         return ""
@@ -272,7 +270,6 @@ def _cause(view: DecisionView) -> Sequence[Block]:
 
 
 def _proposal(view: DecisionView) -> Sequence[Block]:
-    """The rule with its formula and numbers; settings in force, of the rule, and let through."""
     proposal = {} if view.rolls_back else part(view.document, "proposal")
     wanted = gains_of(part(proposal, "parallel"))
     names = (
@@ -354,7 +351,6 @@ def _put_in(view: DecisionView, model: ProcessModel, kind: ControllerKind) -> st
 
 
 def _proof(view: DecisionView) -> Sequence[Block]:
-    """What the guard asked and what the answers were."""
     rows = []
     for check in parts(view.verdict, "checks"):
         passed, name = check.get("passed"), words(check, "name")

@@ -149,7 +149,6 @@ HALVED = (0.5, 0.25)  # steps that the guard tries where the whole is not robust
 
 
 def _robustness(verdict: Document) -> str:
-    """Ms before and after; null in a document is an unstable loop."""
     ms = part(verdict, "ms")
     if "nominal" not in ms or verdict.get("allowed") == []:  # no model: nothing is known of Ms
         return ""

@@ -88,7 +88,6 @@ def _responses(left: int, view: DecisionView, process: LinearProcess, before: Pi
 
 
 def _nyquist(view: DecisionView, process: LinearProcess, before: PidGains, ms_limit: float) -> str:
-    """L(jw) round -1."""
     panel = Panel(PLANE, REAL, IMAGINARY)
     turn = np.exp(2j * np.pi * np.linspace(0, 1, 181))
     around = turn / ms_limit - 1
@@ -110,7 +109,6 @@ def _nyquist(view: DecisionView, process: LinearProcess, before: PidGains, ms_li
 
 
 def _ms(process: LinearProcess, gains: PidGains) -> str:
-    """Ms, or that the loop is unstable."""
     ms = sensitivity_peak(process, gains)
     return f"Ms {ms:.2f}" if math.isfinite(ms) else "UNSTABLE"
 

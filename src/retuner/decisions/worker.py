@@ -146,7 +146,6 @@ class DecideInWorker(Closes):
         return self._worker.process.pid if self._worker is not None else None
 
     def _found(self) -> Answer | None:
-        """What has come for the open question."""
         if self._worker is None:
             return without_decision(LOST, f"the worker could not be started: {self._why_not}")
         try:
@@ -175,7 +174,6 @@ class DecideInWorker(Closes):
             self._worker, self._why_not = None, str(error)
 
     def _end(self) -> str:
-        """End the worker; how it had ended by itself."""
         worker, self._worker = self._worker, None
         return worker.end() if worker is not None else ""
 

@@ -125,7 +125,6 @@ def evaluate(window: Window, question: ExperimentQuestion) -> ExperimentFindings
 
 
 def _try(found: ExperimentFindings, name: str, work: Callable[[], ProcessModel]) -> None:
-    """Note the model of a method, or why there is none."""
     try:
         found.models[name] = work()
     except ValueError as refusal:

@@ -64,7 +64,6 @@ class SettingsWriter:
         return reason
 
     def _poll(self) -> list[Event]:
-        """Let time pass, and hear what there is."""
         try:
             self._now_s = self._bench.turn()
         except KeyboardInterrupt:
@@ -73,7 +72,6 @@ class SettingsWriter:
             return self._bench.device.poll(self._now_s)
 
     def _begin(self, gains: PidGains, base: PidGains) -> str:
-        """Stage and commit, once the controller is heard and runs what it ran."""
         device = self._bench.device
         self._poll()
         patience_s = self._now_s + self._patience_s

@@ -190,7 +190,6 @@ OWN_WORDS = ("refused", "rollback refused", "an operator replaced")
 
 
 def _write(body: Document) -> Words:
-    """A write that is meant, done, or has not come about."""
     why, of = words(body, "why"), words(body, "of")
     done = "active, as read back" if "crc" in body else ""
     what = f"the gains of {of}" if of else WRITTEN.get(why, why)
@@ -206,7 +205,6 @@ WRITTEN = {
 
 
 def _order(body: Document) -> Words:
-    """What a person wanted, and whether it was taken."""
     kind, digest, note = words(body, "order"), words(body, "digest"), words(body, "note")
     decision = int(number(body, "decision") or 0)
     about = words(body, "mode") or (
@@ -220,7 +218,6 @@ def _order(body: Document) -> Words:
 
 
 def _trial(body: Document) -> Words:
-    """A change that is on trial now, and what it promises."""
     promised = part(body, "promise")
     told = []
     for upset, per in (("setpoint", "s"), ("load", f"{words(body, 'pv_unit') or 'pv'} s")):
@@ -241,7 +238,6 @@ def _judged(body: Document) -> Words:
 
 
 def _outcome(body: Document) -> str:
-    """What became of a trial by one response."""
     finding, phase = words(body, "finding"), words(body, "trial")
     if phase == TrialPhase.WAITING:
         return "is over: it awaits operator approval"
@@ -287,7 +283,6 @@ def _end(body: Document) -> Words:
 
 
 def _order_of_writes(body: Document) -> Words:
-    """The messages that one set of gains takes, and the sets that run between them."""
     count, ms = len(numbers(body, "messages")), number(body, "ms_between")
     why = f"one set of gains in {count} message{'s' * (count != 1)}"
     between = "" if ms is None else f"Ms of the sets between them at most {ms:.2f}"
@@ -333,7 +328,6 @@ WORDS: dict[str, Callable[[Document], Words]] = {
 
 
 def _settings(body: Document, name: str) -> str:
-    """Gains in words, empty where there are none."""
     gains = gains_of(part(body, name))
     return settings_text(gains) if gains else ""
 

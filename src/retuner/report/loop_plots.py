@@ -112,7 +112,6 @@ def _keep_in_sight(axes: "Axes", *signals: FloatArray) -> None:
 
 
 def _answer(process: LinearProcess, gains: PidGains, grid: FloatArray, *, load: bool) -> tuple[FloatArray, FloatArray]:
-    """pv and co on that grid of seconds."""
     found = step_response(process, gains, float(grid[-1]), gains.kd / gains.kp / 10.0 if gains.kp else 0.0, load=load)
     pv, co = (np.interp(grid, found.t, values, left=0.0) for values in (found.pv, found.co))
     return np.clip(np.nan_to_num(pv), -OUT_OF_SIGHT, OUT_OF_SIGHT), np.clip(

@@ -149,7 +149,6 @@ def _legend(axes: "Axes") -> None:
 
 
 def _events(picture: RecordPicture, x: FloatArray, panels: Sequence["Axes"]) -> None:
-    """Load steps that were found, as vertical lines."""
     for j, t_s in enumerate(picture.loads_s):
         for axes in panels:
             place = float(np.interp(t_s, picture.window.t_s, x))

@@ -124,7 +124,6 @@ def overview(table: GainTable, decisions: Sequence[Document], advice: Sequence[s
 
 
 def _marks(now: RegionNow) -> str:
-    """What a person should know of a region besides."""
     told = [
         f"mode {now.mode}" if now.mode else "",
         now.trial if now.trial != IDLE else "",
@@ -267,7 +266,6 @@ def marks_of(data: ReportData, documents: Sequence[Document]) -> list[Mark]:
 
 
 def _counted(count: int, what: str) -> str:
-    """A number and its noun with its verb."""
     return f"{count} {what}{' was' if count == 1 else 's were'}"
 
 
@@ -313,7 +311,6 @@ def _ms_cell(score: RegionScore, limit: float, documents: Sequence[Document]) ->
 
 
 def _twins(data: ReportData) -> list[str]:
-    """One step before and after, per region whose gains have changed."""
     names = data.after.regions.names
     still = {one.region for one in data.scores if not one.changes and one.before == one.after}
     images = []

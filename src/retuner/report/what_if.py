@@ -142,7 +142,6 @@ def _parallel(gains: PidGains | None) -> list[float] | None:
 
 
 def _short(value: float) -> float:
-    """A number of a page: nine digits."""
     return float(f"{value:.9g}")
 
 
@@ -253,7 +252,6 @@ def panel_style() -> str:
 
 
 def _controllers() -> dict[str, object]:
-    """Units and vendors' controllers by name, as the page knows them."""
     named = {name: ControllerUnits.named(name, 1.0) for name in (DEFAULT, *(n for n in PAGE_UNITS if n != DEFAULT))}
     forms = {name: (units.dials, units.form) for name, units in named.items()} | {
         n: tuple(c) for n, c in CONTROLLERS.items()

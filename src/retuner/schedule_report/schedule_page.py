@@ -267,7 +267,6 @@ def _at(found: ScheduleDesign, x2: float | None) -> str:
 
 
 def _parameter(found: ScheduleDesign, name: str, x: FloatArray, x2: float | None) -> tuple[FloatArray, FloatArray]:
-    """Values and standard deviations of their logarithm."""
     models = [found.model_at(float(v), x2) for v in x]
     values = {
         "k": [abs(m.k) for m in models],
@@ -306,7 +305,6 @@ def _gains(axes: "Axes", found: ScheduleDesign) -> None:
 
 
 def _judged(axes: "Axes", found: ScheduleDesign, what: str) -> None:
-    """Ms or J along the variable, before and after."""
     middle = found.slices[len(found.slices) // 2]
     known = [place for place in found.places if place.known and place.x2 == middle]
     x = [place.x for place in known]

@@ -246,7 +246,6 @@ class PageAnswers:
 
 
 def _put(folder: Path, order: Order) -> str:
-    """Put an order where the session looks for it; the name of its file."""
     try:
         return put_order(folder, order).name
     except UserError as error:

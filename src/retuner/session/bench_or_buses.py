@@ -81,7 +81,6 @@ def _share(link: CanLink, config: SessionConfig, loops: tuple[int, ...]) -> Host
 
 
 def _ports(share: LinkShare, config: SessionConfig, loops: tuple[int, ...]) -> ReadBus:
-    """A port for each loop on a shared link; one of every frame for a foreign controller, or if a signal schedules."""
     ones = [config.loops[i] for i in loops]
     all_of_it = [one.foreign_device is not None or any(schedule_inputs(one).signals) for one in ones]
     ports = [share.whole() if a else share.port(one.bus.node) for one, a in zip(ones, all_of_it, strict=True)]
@@ -212,7 +211,6 @@ def opened(settings: Sequence[LinkSettings], clock: Clock, log: Path | None) -> 
 
 
 def _hosts(links: Sequence[CanLink], config: SessionConfig) -> HostBuses:
-    """The loops' ends of links that nobody else reads."""
     return HostBuses([_share(link, config, loops) for link, loops in zip(links, config.buses, strict=True)])
 
 

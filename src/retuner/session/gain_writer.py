@@ -340,7 +340,6 @@ class GainWriter:
         return WantedSet(Why.RESTORE, region, gains) if now_s >= self._restore_at_s else None
 
     def _restored(self, running: RunningSet) -> None:
-        """What the controller reports is the verified set: recorded, and told."""
         trials = self.retuner.trials
         regions = trials.restoring
         body = {
@@ -401,7 +400,6 @@ class GainWriter:
             self._dropped(pending, reason)
 
     def _dropped(self, wanted: WantedSet, reason: str) -> None:
-        """A decision is not written: recorded, and told."""
         if wanted.decision is not None:
             about = {"why": wanted.why, "region": self._name(wanted.region), "decision": wanted.decision.digest()}
             self._to_ledger("dropped", self.t_s, {**about, "reason": reason})

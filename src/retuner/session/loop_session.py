@@ -223,7 +223,6 @@ class LoopSession:
                 self.writer.hold(fault)
 
     def _sample(self, sample: LoopSample, now_s: float) -> None:
-        """One sample of the loop: play the scenario, watch, decide."""
         self.writer.t_s = sample.t_s
         self.samples += 1
         if self.machine.phase is SessionPhase.FAILING:
@@ -299,7 +298,6 @@ class LoopSession:
         self._decided(self.retuner.enter(question, answer.result, self.retuner.sample_number))
 
     def _decided(self, decision: Decision) -> None:
-        """Record a decision; a change and a way back go to the writer."""
         self.decisions.append(decision)
         if self.bumps is not None:
             self.bumps.decided(decision)
@@ -363,7 +361,6 @@ class LoopSession:
             self._decided(decision)
 
     def _end(self, now_s: float) -> None:
-        """Begin the end when it is time, and settle what is undecided."""
         if self.machine.phase is SessionPhase.WATCHING and self.scenario.finished:
             self.machine.take(SessionInput.PLAYED)
         if self.machine.phase is SessionPhase.WATCHING:

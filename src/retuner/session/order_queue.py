@@ -232,7 +232,6 @@ class OrderDesk:
         return None
 
     def _due(self, order: Waiting, t_s: float) -> Decision | None:
-        """Tell the retuner of an order, after it was recorded."""
         body = {**order.body, "due": True}
         proposal: Any = body.get("proposal")
         if body["accepted"] and proposal:

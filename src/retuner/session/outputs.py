@@ -296,7 +296,6 @@ def session_identity(
 
 
 def _in_mode(config: Config, changes: Mapping[tuple[str, str], str | bool]) -> Config:
-    """A loop's configuration in the mode that the command line names."""
     mode = changes.get(("adaptation", "mode"), config.adaptation.mode)
     return config.model_copy(update={"adaptation": config.adaptation.model_copy(update={"mode": mode})})
 

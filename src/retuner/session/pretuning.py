@@ -95,7 +95,6 @@ class Pretuning:
         )
 
     def _note(self, kind: str, t_s: float, body: Mapping[str, object]) -> None:
-        """A row of the step. It stands before the session's first sample, so its own time goes into the row."""
         self._record(kind, 0.0, {**body, "at_s": t_s})
 
     def _say(self, text: str) -> None:

@@ -328,7 +328,6 @@ class Run:
         self._pretune(bench.buses, bench.clock, turn)
 
     def _pretune(self, buses: HostBuses, clock: Clock, turn: Callable[[], None], speed: float = 1.0) -> None:
-        """The commanded steps before the session, one loop after the other."""
         for i, loop in enumerate(self._loops):
             loop.pretune(buses.port(i), clock, turn, speed)
 
@@ -337,7 +336,6 @@ class Run:
         return any(loop.pretuning for loop in self._loops)
 
     def _faults(self, buses: HostBuses) -> None:
-        """Tell the loops what their links have to tell."""
         assert self.session is not None
         for i, news in buses.news():
             self.session.loops[i].link_faults(news)

@@ -171,7 +171,6 @@ class Session:
             loop.device.release(now_s)
 
     def _leave_out(self, loop: LoopSession, error: DeviceError) -> None:
-        """Go on without a loop whose controller is not there, unless it is the last one."""
         if len(self._watched) == 1:
             raise error
         self._watched.remove(loop)

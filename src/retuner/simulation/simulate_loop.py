@@ -150,6 +150,5 @@ def _plain_pid(
 
 
 def _gains_of(controller: object) -> tuple[float, float, float]:
-    """The gains that a controller says are in force; NaN where it says none."""
     gains = controller if isinstance(controller, PidGains) else getattr(controller, "gains", None)
     return (gains.kp, gains.ki, gains.kd) if isinstance(gains, PidGains) else (math.nan, math.nan, math.nan)

@@ -43,7 +43,6 @@ def rendered(name: str, **values: Any) -> str:
 
 @cache
 def _environment() -> "Environment":
-    """Where templates are read: what goes into HTML is escaped, what goes into a program is not."""
     from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape  # noqa: PLC0415  slow to load
 
     made = Environment(

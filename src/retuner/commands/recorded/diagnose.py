@@ -291,7 +291,6 @@ def evidence_of(found: DiagnosedRecord) -> list[str]:
 
 
 def _by_eye(found: DiagnosedRecord) -> list[str]:
-    """What the visual rules say of the trend."""
     model, cause, lines = found.result.model, found.result.diagnosis.cause, []
     period_s = found.evidence.get("period_s", 0.0)
     if period_s > 0 and found.loop.period_s is not None and found.evidence.get("regularity", 0.0) > REGULAR:

@@ -199,7 +199,6 @@ def _picture(
 
 
 def _shown(result: object, picture: Figure | None = None) -> str:
-    """Words, and below them the picture, light or dark as the reader's screen is."""
     words = f"<pre>{escape(text(result))}</pre>"
     if picture is None:
         return words

@@ -39,7 +39,6 @@ def read_records_of_loop(options: RecordOptions) -> list[LoopRecord]:
 
 
 def _check_options(options: RecordOptions) -> None:
-    """Refuse limits and names that cannot be used."""
     # Refuse limits that are none
     for name, value in (("--co-min", options.co_min), ("--co-max", options.co_max)):
         if value is not None and not math.isfinite(value):

@@ -117,7 +117,6 @@ def _read(options: ScheduleOptions, others: list[str]) -> list[LoopRecord]:
 
 
 def _in_force(path: Path) -> GainTable:
-    """The table that ran while the records were made."""
     try:
         text = path.read_text(encoding="utf-8")
     except OSError as error:

@@ -51,7 +51,6 @@ def tune(options: TuneOptions) -> int:
 
 
 def _wishes(options: TuneOptions) -> dict[str, float | None]:
-    """What the rule is to reach, and what it works from beside the process."""
     names = ("tau_c", "ms", "gm", "c", "u0", "ku", "pu", "kq", "pq")
     return {"y_max": options.ymax, **{name: getattr(options, name) for name in names}}
 
