@@ -61,11 +61,11 @@ def read_eds(path: Path, node: int) -> Dictionary:
     text = _decoded(raw).replace("\r\n", "\n").replace("\r", "\n").rstrip(END_OF_FILE)
     text = NO_RATE.sub("", text)
     there = {index.upper() for index in WHOLE.findall(text)}
-    text = io.StringIO(PART.sub(lambda found: _with_object(found, there), text))
-    text.name = f"{path.stem}.eds"
+    file = io.StringIO(PART.sub(lambda found: _with_object(found, there), text))
+    file.name = f"{path.stem}.eds"
     try:
         with contextlib.redirect_stderr(io.StringIO()):
-            dictionary = canopen.import_od(text, node)
+            dictionary = canopen.import_od(file, node)
     except PARSING_ERRORS as error:
         told = " ".join(str(error).split())[:SHOWN]
         raise ProfileError(f"{path}: cannot be used as an EDS: {told or type(error).__name__}", ("eds",)) from None

@@ -11,7 +11,7 @@ from typing import Any
 from retuner.commands.signatures import ReportOptions
 from retuner.config.bench_plants import known_plant, stepped_plant
 from retuner.config.model import Config
-from retuner.decision_page.decision_article import page
+from retuner.decision_page.decision_document import page
 from retuner.decision_page.decision_view import view_of, what_came_of
 from retuner.decision_page.row_values import Document, gains_of, number, part, parts, words
 from retuner.decision_page.shown_units import show_units_of

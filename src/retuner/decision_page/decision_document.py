@@ -17,6 +17,7 @@ from retuner.decision_page.decision_sentences import (
     footing,
     headline,
     margin_rows,
+    ms_limit,
     new_name,
     old_name,
     parameters,
@@ -25,6 +26,8 @@ from retuner.decision_page.decision_sentences import (
 from retuner.decision_page.decision_view import DecisionView
 from retuner.decision_page.decision_words import change_text, process_text, rolls_back, settings_text, stays
 from retuner.decision_page.evidence_words import evidence_table
+from retuner.decision_page.response_drawing import response_svg
+from retuner.decision_page.robustness_drawing import robustness_svg
 from retuner.decision_page.row_values import (
     Document,
     finite,
@@ -41,6 +44,7 @@ from retuner.decision_page.shown_units import units_of
 from retuner.schedule.controller_units import ControllerUnits
 from retuner.schedule.dials import PARALLEL
 from retuner.schedule.gains import PidGains
+from retuner.templates import rendered
 
 
 class Text(NamedTuple):
@@ -458,3 +462,19 @@ def _judged(name: str, value: float, factor: float, unit: str) -> str:
     if value >= 0 or name == "overshoot":
         return _in(value, factor, unit)
     return "unstable" if name == "ms" else _in(None)
+
+
+def page(view: DecisionView) -> str:
+    """The page as an HTML document of its own."""
+    return _rendered("decision_page.html.jinja", view)
+
+
+def article(view: DecisionView) -> str:
+    """The page as a part of another."""
+    return _rendered("decision.html.jinja", view)
+
+
+def _rendered(template: str, view: DecisionView) -> str:
+    drawings = {"response": response_svg(view), "robustness": robustness_svg(view, ms_limit(view))}
+    told = decision_document(view)
+    return rendered(template, title=told.title, decision=told, drawings=drawings)

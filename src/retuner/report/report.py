@@ -11,8 +11,7 @@ import numpy as np
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.adaptive.supervision.decision import Decision
-from retuner.decision_page.decision_article import article
-from retuner.decision_page.decision_document import Explained, Linked, Toned
+from retuner.decision_page.decision_document import Explained, Linked, Toned, article
 from retuner.decision_page.decision_sentences import MS_LIMIT, ms_text
 from retuner.decision_page.decision_view import DecisionView, view_of, what_came_of, worth_pages
 from retuner.decision_page.decision_words import (

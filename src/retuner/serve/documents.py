@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from retuner.decision_page.decision_article import page
+from retuner.decision_page.decision_document import page
 from retuner.decision_page.decision_view import view_of, what_came_of
 from retuner.decision_page.decision_words import cause_text, change_text, ms_words, response_text, settings_text
 from retuner.decision_page.row_values import number, part, words

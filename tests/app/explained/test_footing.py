@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 from decision_documents import COMMIT, MODEL, changed, view
 
-from retuner.decision_page.decision_article import article
+from retuner.decision_page.decision_document import article
 from retuner.decision_page.decision_sentences import footing, robustness
 
 KNOWN = {"model": {**MODEL, "k": 1.4}, "std": {"k": 0.42}}

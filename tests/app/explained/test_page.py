@@ -26,7 +26,7 @@ from hypothesis import strategies as st
 
 from retuner.adaptive.loop.margins import margins
 from retuner.decision_page import robustness_drawing
-from retuner.decision_page.decision_article import article, page
+from retuner.decision_page.decision_document import article, page
 from retuner.decision_page.decision_sentences import headline, ms_limit
 from retuner.decision_page.decision_view import DecisionView, what_came_of, worth_pages
 from retuner.decision_page.decision_words import one_line

@@ -18,7 +18,7 @@ from retuner.commands.recorded.diagnose import SHOWN as NAMED
 from retuner.commands.recorded.diagnose import WINNER
 from retuner.commands.recorded.identify import described
 from retuner.commands.recorded.schedule import described as schedule_lines
-from retuner.decision_page.decision_article import article
+from retuner.decision_page.decision_document import article
 from retuner.decision_page.decision_view import DecisionView
 from retuner.decision_page.decision_words import document_of, one_line
 from retuner.decision_page.shown_units import chosen_units
