@@ -120,9 +120,8 @@ def swapping(found: Examination) -> None:
     if seen is None:
         found.left_out.append("the swap in automatic: the sample before it was lost")
     else:
-        led = first.ki * error * dt - first.kp * (after[0].pv - seen.pv)
         jump = (new.kp - first.kp) * error
-        moved = after[0].co - seen.co - led
+        moved = after[0].co - seen.co - (first.ki * error * dt - first.kp * (after[0].pv - seen.pv))
         found.holds(f"co jumped by {moved:.3g} % in the sample of the swap", abs(moved) < 0.5 * abs(jump))
     talk.write(first)
     found.confirmed()
@@ -256,10 +255,9 @@ def busy(found: Examination) -> None:
     seq = talk.fresh_seq()
     codes = talk.codes(seq, good)
     talk.samples(1)
-    late = (seq + 1) % 65536
     waits = talk.commit(seq, good)
     other = replace(waits, crc=waits.crc ^ 1)
-    frames = talk.say(*talk.stage(seq, good), *codes, waits, talk.stage(late, good)[0], other)
+    frames = talk.say(*talk.stage(seq, good), *codes, waits, talk.stage((seq + 1) % 65536, good)[0], other)
     stage, commit = first_ack(frames, wire.Kind.STAGE), first_ack(frames, wire.Kind.COMMIT)
     if commit is not None and commit.reason == wire.Reason.OK:
         found.left_out.append("STAGE while a commit waits: the samples are too short to try it")

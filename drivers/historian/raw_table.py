@@ -96,10 +96,9 @@ def text_table(path: Path, text: str, assumed: tuple[Assumption, ...], form: Rec
     best = max(header, key=known_roles, default=[])
     names = [name.strip().strip('"') or str(i + 1) for i, name in enumerate([*best, *[""] * (width - len(best))])]
     columns = tuple(zip(*(fields for _, fields in body), strict=True))
-    places = [f":{number}" for number, _ in body]
     kept = set(form.columns.values())
     called = tuple(name if name in kept else form.called(name) for name in names)
-    return RawTable(str(path), called, columns, places, assumed, _time_units(header))
+    return RawTable(str(path), called, columns, [f":{number}" for number, _ in body], assumed, _time_units(header))
 
 
 def decoded(path: Path, form: RecordForm, most_bytes: int | None = None) -> tuple[str, tuple[Assumption, ...]]:

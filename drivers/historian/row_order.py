@@ -74,9 +74,8 @@ def _distinct(places: np.ndarray, stamps: FloatArray) -> tuple[np.ndarray, Float
         return places, stamps, []
     usual = int(np.median(counts))
     if usual < 2 or len(unique) < 2:
-        last = first + counts - 1
         repeats = len(stamps) - len(unique)
-        return places[last], unique, [Assumption(f"{repeats} repeated stamps: the last row of each kept")]
+        return places[first + counts - 1], unique, [Assumption(f"{repeats} repeated stamps: the last row of each kept")]
     width = float(np.median(np.diff(unique)))
     rank = np.arange(len(stamps)) - np.repeat(first, counts)
     rank[: counts[0]] += max(usual - int(counts[0]), 0)  # the first stamp may be cut: its last rows are there

@@ -136,9 +136,8 @@ def _plainest(table: RawTable, role: str, places: Sequence[int], form: RecordFor
 
     Raises RecordingError: None is, or two are, and nobody named one.
     """
-    names = {table.names[place] for place in places}
     plain = [p for p in places if last_word(table.names[p]) in OWN_WORDS[role]]
-    if len(names) < 2 or role in form.columns:
+    if len({table.names[place] for place in places}) < 2 or role in form.columns:
         return places
     if len(plain) != 1:
         both = " or ".join(quoted(table.names[place]) for place in places[:3])

@@ -87,9 +87,8 @@ def from_numbers(values: FloatArray, name: str, unit: str, form: RecordForm) -> 
     if origin and 0 < step < 1.0 / 24:
         whose = "a spreadsheet" if origin == SPREADSHEET_1970 else "MATLAB"
         return Stamps((values - origin) * DAY_S, (Assumption(f"time in days of {whose}", 'time_unit = "d"'),))
-    silent = name.strip().lower() in {"t", "t_s", "time_s"} or "t" in form.columns
     told = Assumption(f"time {quoted(name)} in seconds", 'time_unit = "s"')
-    return Stamps(values, () if silent else (told,))
+    return Stamps(values, () if name.strip().lower() in {"t", "t_s", "time_s"} or "t" in form.columns else (told,))
 
 
 def _typical(values: FloatArray) -> float:

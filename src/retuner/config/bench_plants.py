@@ -14,7 +14,6 @@ from retuner.config.plants import (
     BoilerPlantConfig,
     FmuPlantConfig,
     IdentifiedPlantConfig,
-    LinearPlantConfig,
     LoadConfig,
     OvenPlantConfig,
     PlantConfig,
@@ -139,9 +138,6 @@ def stepped_plant(config: Config, configs: Sequence[Config], sp: FloatArray, co:
         return model.port(config, plant.model_copy(update={"noise": 0.0, "loads": ()})), model.close
 
     return SteppedPlant(begin, rests, config.loop.sample_time_s)
-
-
-OurConfig = OvenPlantConfig | LinearPlantConfig | BoilerPlantConfig | IdentifiedPlantConfig
 
 
 class Plants(Closes):

@@ -192,9 +192,8 @@ def samples_of(columns: Mapping[str, FloatArray], response: Document, end_s: flo
     ]
     first += cuts[-1] if cuts else 0
     sets = columns["sequence"][first:last] if "sequence" in columns else np.zeros(last - first)
-    changed = t[first:last][1:][np.diff(sets) != 0]
     sp, pv, co = (columns[name][first:last] for name in ("sp", "pv", "co"))
-    return Samples(t[first:last], sp, pv, co, None, tuple(changed.tolist()))
+    return Samples(t[first:last], sp, pv, co, None, tuple(t[first:last][1:][np.diff(sets) != 0].tolist()))
 
 
 # Decisions made ready for their pages: each with the samples of its response out of the trend, and the model's pv.

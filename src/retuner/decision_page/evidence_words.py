@@ -87,9 +87,8 @@ def value_text(name: str, value: float) -> str:
 def evidence_table(evidence: Mapping[str, float]) -> dict[str, list[tuple[str, str, str]]]:
     """Rows (words, value, how to read it) by heading; only what the evidence holds."""
     found: dict[str, list[tuple[str, str, str]]] = {}
-    other = [name for name in evidence if name not in WORDS]
     hidden = OF_OSCILLATION if evidence.get("regularity", 0.0) <= REGULAR and "stuck_left" not in evidence else set()
-    for heading, names in {**GROUPS, "other": tuple(other)}.items():
+    for heading, names in {**GROUPS, "other": tuple([name for name in evidence if name not in WORDS])}.items():
         rows = []
         for name in names:
             if name not in evidence or name in hidden or evidence[name] <= SILENT_UP_TO.get(name, -math.inf):

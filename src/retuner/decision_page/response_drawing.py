@@ -48,12 +48,11 @@ def response_svg(view: DecisionView) -> str:
         remainder = [panel]
     output = Panel(places[-1], over, room([samples.co], SHARE))
     output.curve(*thinned(*steps(x, samples.co)), LINE)
-    marks = (
+    panels = [top, *remainder, output]
+    for times, dash, label in (
         (numbers(view.estimate, "loads"), "80 20 13 20", "load step as the fit places it"),
         (samples.changed_s, "13 21", "other gains run"),
-    )
-    panels = [top, *remainder, output]
-    for times, dash, label in marks:
+    ):
         for i, t_s in enumerate(times):
             for panel in panels:
                 at = (t_s - zero) / scale

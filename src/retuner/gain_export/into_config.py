@@ -151,9 +151,8 @@ def _makes(units: ControllerUnits, numbers: Dialled, gains: PidGains, same: Same
 
 def _set(region: MutableMapping[str, Any], key: str, value: object) -> None:
     """Change a value and leave what stands behind it on its line."""
-    was = region.get(key)
     item = tomlkit.item(value)
-    trivia = getattr(was, "trivia", None)
+    trivia = getattr(region.get(key), "trivia", None)
     if trivia is not None:
         item.trivia.comment_ws, item.trivia.comment = trivia.comment_ws, trivia.comment
         item.trivia.trail = trivia.trail

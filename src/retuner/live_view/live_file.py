@@ -177,9 +177,8 @@ class LiveReader:
             newer = finer[finer[:, 0] > table[-1, 0]] if len(table) else finer
             table = np.concatenate((table, newer))  # the newest have not come as far as this ring
             finer = table
-            reaches = first == 0 or (len(table) and table[0, 0] <= from_s)
             within = int(np.count_nonzero((table[:, 0] >= from_s) & (table[:, 0] <= to_s)))
-            if reaches and within <= BLOCK * most:
+            if (first == 0 or (len(table) and table[0, 0] <= from_s)) and within <= BLOCK * most:
                 break
         return thinned(finer[(finer[:, 0] >= from_s) & (finer[:, 0] <= to_s)], most)
 

@@ -134,7 +134,6 @@ def scores_table(scores: list[RegionScore], unit: str, loop: str = "", ms_limit:
         table.add_column(name, justify="right", no_wrap=True)
     for s in scores:
         fixed = "-" if s.iae_fixed is None else in_full(s.iae_fixed)
-        same = s.iae_fixed is None or s.iae == s.iae_fixed
         colour = "green" if s.iae_fixed is not None and s.iae < s.iae_fixed else "red"
         table.add_row(
             escape(s.region),
@@ -144,6 +143,6 @@ def scores_table(scores: list[RegionScore], unit: str, loop: str = "", ms_limit:
             ms_text(s.ms_before),
             f"[bold red]{ms_text(s.ms_after)} !![/]" if (s.ms_after or 0.0) > ms_limit else ms_text(s.ms_after),
             fixed,
-            in_full(s.iae) if same else f"[{colour}]{in_full(s.iae)}[/]",
+            in_full(s.iae) if s.iae_fixed is None or s.iae == s.iae_fixed else f"[{colour}]{in_full(s.iae)}[/]",
         )
     return table

@@ -93,7 +93,6 @@ def _is_of(decided: Decided, loop: WatchedLoop) -> bool:
 def needs_a_person(session: WatchedSession, loop: WatchedLoop) -> list[Document]:
     """Proposals that wait, changes that wait for a word, locked regions."""
     shown = session.ledger.shown_of(loop.name)
-    approval_s = float(loop.reader.head.get("approval_s", 0.0))
     regions, by_hand = set(loop.reader.head.get("regions", ())), loop.reader.head.get("by_hand")
     found: list[Document] = [
         {
@@ -104,7 +103,7 @@ def needs_a_person(session: WatchedSession, loop: WatchedLoop) -> list[Document]
             "text": f"{settings_text(one.before, loop.name)} -> {settings_text(one.after, loop.name)}"
             + f"; {by_hand}" * bool(by_hand),
         }
-        for one in shown.open(approval_s)
+        for one in shown.open(float(loop.reader.head.get("approval_s", 0.0)))
         if not shown.successor(one) and one.region in regions
     ]
     found += [
@@ -213,9 +212,8 @@ def tried(session: WatchedSession, loop: WatchedLoop) -> Document:
 
 def decision_html(session: WatchedSession, loop: WatchedLoop, decided: Decided) -> str:
     """The page of a decision, as in the report."""
-    response = part(decided.document, "response")
     end = number(decided.document, "t_s") or 0.0
-    start = number(response, "t_start_s")
+    start = number(part(decided.document, "response"), "t_start_s")
     begin = end - 600 * float(loop.reader.head.get("sample_time_s", 1.0)) if start is None else start
     table = loop.reader.span(begin - 0.5 * (end - begin), end, MOST_POINTS)
     columns = {name: table[:, i].copy() for i, name in enumerate(FIELDS)}

@@ -27,9 +27,8 @@ def record_form(options: FormOptions) -> RecordForm:
     given |= {"dbc": tuple(map(str, options.dbc))} if options.dbc else {}
     with user_input("the form of the record"):
         # --scale as signal to what it is recorded as and stands for
-        text = options.scale
         found: dict[str, str] = {}
-        for part in (p.strip() for p in text.split(",") if p.strip()):
+        for part in (p.strip() for p in options.scale.split(",") if p.strip()):
             role, equals, scaling = part.partition("=")
             if not equals or role in found:
                 raise UserError(f"--scale {part}: give signal=range, each signal once, as in pv=4..20:0..200")
