@@ -75,8 +75,8 @@ def audit_task(task: Task, settings: AuditSettings) -> list[Row]:
         broken: list[RecordingError] = []
         row = _row(task.tags[0], _each_by_itself(task, settings, broken), settings, common_clock=False)
         told = [f"left out: {error}" for error in broken]
-        value = row["assumed"]
-        return [row if "failed" in row else row | {"assumed": [*(value if isinstance(value, list) else []), *told]}]
+        assumed = row.get("assumed")
+        return [row if "failed" in row else row | {"assumed": [*assumed, *told] if isinstance(assumed, list) else told}]
     if task.in_pieces:
         return [_row(tag, loop_in_pieces(task.files, settings.form, tag, MOST_ROWS), settings) for tag in task.tags]
     try:
