@@ -90,7 +90,7 @@ class _Copy:
         while end - at > rounding:
             until = min(times[i + 1], end) if i + 1 < len(times) else end
             if until - at > rounding:
-                key = float(f"{(until - at):.{DIGITS - 1}e}")
+                key = float(f"{until - at:.{DIGITS - 1}e}")
                 if key not in self._known:
                     if len(self._known) >= STEPS_KEPT:
                         self._known.clear()

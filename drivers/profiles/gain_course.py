@@ -157,13 +157,14 @@ class GainCourse:
     def _time_out(self) -> None:
         phase = self.machine.phase
         if phase is CoursePhase.WRITING and not self._acknowledges and not self._reads_back:
-            if not (self._tries < SENDINGS):
-                if self._at + 1 < len(self._steps):
-                    self._at, self._tries = self._at + 1, 0
-                else:
-                    self._move(CourseInput.TAKEN)
-                    self._move(CourseInput.LAST)
-                    self.outcome = CourseEnd(True, self._new, "")
+            if self._tries < SENDINGS:  # sent once more; the last time it is believed
+                return
+            if self._at + 1 < len(self._steps):
+                self._at, self._tries = self._at + 1, 0
+            else:
+                self._move(CourseInput.TAKEN)
+                self._move(CourseInput.LAST)
+                self.outcome = CourseEnd(True, self._new, "")
             return
         self.reason = self.reason or "no answer"
         self._move(CourseInput.AGAIN if self._tries < TRIES.get(phase, self._tries + 1) else CourseInput.EXHAUSTED)

@@ -105,6 +105,7 @@ def ranked(rows: Iterable[Row], before: Sequence[Row] = ()) -> tuple[list[Row], 
         listed.append({k: v for k, v in row.items() if k not in NOT_LISTED})
         swinging += [swing] if swing is not None else []
         trends |= {str(row["tag"]): trend} if trend is not None else {}
+    # Loops that are others' records under another tag are told once, and are in no group
     found = twins(trends)
     by_tag = {str(row["tag"]): row for row in listed}
     again = {tag for tag, other in found.items() if mean_error(by_tag[tag]) == mean_error(by_tag[other])}
@@ -128,7 +129,7 @@ def ranked(rows: Iterable[Row], before: Sequence[Row] = ()) -> tuple[list[Row], 
         if before:
             row["change"] = change(row, earlier.get(str(row["tag"])))
     _from_the_root(listed, group_of)
-    by_tag = {str(row["tag"]): row for row in listed}
+    # The slave of a cascade comes before its master; of loops that swing against each other one is slowed down
     for row in listed:
         sick = [tag for tag in (row["slaves"] if isinstance(row["slaves"], list) else []) if is_fault(by_tag[tag])]
         if sick and is_fault(row):

@@ -22,7 +22,6 @@ from retuner.ledger.lock import WriterLock
 from retuner.products import product
 from retuner.schedule.document import from_toml
 from retuner.schedule.plain_values import plain_values
-from retuner.schedule.table import GainTable
 from retuner.session.order_queue import SHORT, OrderState, shown, superseded
 from retuner.session.orders import Order, OrderKind, put_order
 from retuner.session.outputs import CONFIG, GAINS, LEDGER, believed_rows, ledger_path, loop_folder, rows_by_loop
@@ -170,7 +169,11 @@ def _take_up(place: LoopPlace, full: str, options: ApproveOptions) -> int:
     # What a session ran is its record: a replay reads it
     if (into.resolve().parent / LEDGER).exists():
         raise UserError(f"--into {into}: belongs to the session recorded there; name the configuration of the next run")
-    written = schedule_into(into, table, place.config, note, _gains_at_end(place))
+    try:
+        gains_at_end = from_toml((place.folder / GAINS).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        gains_at_end = None
+    written = schedule_into(into, table, place.config, note, gains_at_end)
     write_whole(into, written.text)
     document = {"session": str(place.session), "approved": full, "schedule": str(into), "comments": written.comments}
     parts = f"{len(table.gains)} regions along {table.regions.axes[0].label}"
@@ -179,13 +182,6 @@ def _take_up(place: LoopPlace, full: str, options: ApproveOptions) -> int:
         told += f"; comments on {written.comments} lines of the old section were lost with it"
     tell(document, [told], as_json=options.as_json)
     return 0
-
-
-def _gains_at_end(place: LoopPlace) -> GainTable | None:
-    try:
-        return from_toml((place.folder / GAINS).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
 
 
 def _closed(place: LoopPlace, full: str) -> str:

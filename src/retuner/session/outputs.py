@@ -171,16 +171,13 @@ def ledger_path(session: Path) -> Path:
     path = session / LEDGER if session.is_dir() else session
     if not path.is_file():
         what = f"holds no {LEDGER}" if session.is_dir() else "no such folder or ledger"
-        raise UserError(f"{session}: {what}; {_where(session)}")
+        of_loops = session.resolve().parent.parent
+        if session.is_dir() and (of_loops / LEDGER).is_file():
+            where = f"the ledger of all loops is in {of_loops}: give that with --loop"
+        else:
+            where = "give the folder that a run has left"
+        raise UserError(f"{session}: {what}; {where}")
     return path
-
-
-def _where(session: Path) -> str:
-    """What to give in place of a folder without a ledger: several loops share the one of their run."""
-    of_loops = session.resolve().parent.parent
-    if session.is_dir() and (of_loops / LEDGER).is_file():
-        return f"the ledger of all loops is in {of_loops}: give that with --loop"
-    return "give the folder that a run has left"
 
 
 def believed_rows(path: Path) -> tuple[Row, ...]:

@@ -112,22 +112,19 @@ def _tell(rows: Sequence[Row], found: Catalogue, options: AuditOptions) -> None:
     sys.stdout.write(summary(rows, len(found.refused)) + "\n")
     for row in [row for row in rows if is_fault(row)][:SHOWN]:
         sure = f", {row['confidence']:.0%} sure" if row["confidence"] is not None else ""
-        sys.stdout.write(f"{row['place']:>4}  {row['tag']}: {row['action']}{sure}{_cost(row)}\n      {row['reason']}\n")
+        error, share = mean_error(row), row.get("avoidable")
+        if error is None or not isinstance(share, float) or not row.get("basis"):
+            cost = ""
+        else:
+            by = {"Harris": "Harris index"}.get(str(row["basis"]), row["basis"])
+            cost = f"; mean error {error:.3g}; about {100 * share:.0f} % avoidable ({by})"
+        sys.stdout.write(f"{row['place']:>4}  {row['tag']}: {row['action']}{sure}{cost}\n      {row['reason']}\n")
     if options.since is not None:
         # what became worse since the earlier audit, in a line
         worse = [f"{row['tag']} ({row['change']})" for row in rows if str(row["change"]).startswith("worse")]
         more = f" and {len(worse) - SHOWN} more" if len(worse) > SHOWN else ""
         sys.stdout.write(f"worse since then: {', '.join(worse[:SHOWN]) or 'none'}{more}\n")
     sys.stdout.write(f"the page: {options.out / 'index.html'}\n")
-
-
-def _cost(row: Row) -> str:
-    """What a loop's error is, and how much of it is avoidable."""
-    error, share = mean_error(row), row.get("avoidable")
-    if error is None or not isinstance(share, float) or not row.get("basis"):
-        return ""
-    by = {"Harris": "Harris index"}.get(str(row["basis"]), row["basis"])
-    return f"; mean error {error:.3g}; about {100 * share:.0f} % avoidable ({by})"
 
 
 def _names_told(found: Catalogue) -> str:
