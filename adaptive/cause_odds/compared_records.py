@@ -1,7 +1,13 @@
-"""What each record of a loop says of every process under a load that wanders, on one clock.
+"""What each record of a loop says of every process, on one clock.
 
-A long record is compared in windows of one length, averages over a few rows where pv stands still for as long. Each
-counts with a power (wandering_load.py): a setpoint that moves says more than loads do.
+A long record is compared in windows of one length, averages over a few rows where pv stands still for as long. What the
+setpoint makes co do says more than loads do. With s its share in what moves a record, W the likelihood under a load
+that wanders (wandering_load.py) and A that of the answers beside a load of any spectrum (any_load.py),
+
+    ln L/T = (1 - s)/T_LOADS ln W + s/T_SETPOINT ln A
+
+Real loads swing and pause as well: a walk leaves a rest of them, which the inverse of the controller explains, but not
+what the setpoint makes co do. By loads alone A would say nothing, for the load may then be everything.
 """
 
 from collections.abc import Sequence
@@ -10,8 +16,17 @@ import numpy as np
 
 from retuner.adaptive.cause_odds.odds_settings import OddsSettings
 from retuner.adaptive.cause_odds.smoothed_record import with_smoothing
-from retuner.adaptive.explanations.process_grid import gain_unit, shapes
-from retuner.adaptive.explanations.wandering_load import MOST_SAMPLES, TEMPER, Prepared, setpoint_share, temper
+from retuner.adaptive.explanations.any_load import log_likelihood_of_answers
+from retuner.adaptive.explanations.process_grid import EVERY_LAG, gain_unit, shapes
+from retuner.adaptive.explanations.wandering_load import (
+    MOST_SAMPLES,
+    T_LOADS,
+    T_SETPOINT,
+    TEMPER,
+    Prepared,
+    setpoint_share,
+    temper,
+)
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
@@ -24,23 +39,17 @@ FEWEST_RECORD_SAMPLES = 60
 class ComparedRecords:
     """Windows of records, one by one.
 
-    dt_s : the clock of all. unit : of loop gains (process_grid.gain_unit), None without gains. records, setpoints : as
-    they were compared. each : log-likelihood of every process. shares : of the setpoint, or of the hand, in what moves
-    a record. powers : of its likelihood.
+    dt_s : the clock of all. records : as they were compared. each : log-likelihood of every process under a load that
+    wanders. weighed : as it counts; see the head. shares : of the setpoint, or of the hand, in what moves a record.
+    powers : of its likelihood.
     """
 
     dt_s: float
-    unit: float | None
     records: tuple[Prepared, ...]
-    setpoints: tuple[FloatArray, ...]
     each: tuple[FloatArray, ...]
+    weighed: tuple[FloatArray, ...]
     shares: tuple[float, ...]
     powers: tuple[float, ...]
-
-    @property
-    def weighed(self) -> list[FloatArray]:
-        """The log-likelihood of each record, to its power."""
-        return [power * alone for power, alone in zip(self.powers, self.each, strict=True)]
 
 
 def compared(
@@ -55,13 +64,29 @@ def compared(
         return None
     unit = gain_unit(gains, dt) if gains is not None else None
     records, each = zip(*(with_smoothing(record, direction, unit, settings.smooths) for record, _ in both), strict=True)
-    setpoints = tuple(sp for _, sp in both)
-    moved = [(0.0, 1.0)] * len(records)  # without gains: no share is asked
-    powers = [1.0] * len(records)
-    if unit is not None:
-        moved = [_share(*one) for one in zip(records, setpoints, each, strict=True)]
-        powers = [TEMPER / temper(share) for _, share in moved]
-    return ComparedRecords(dt, unit, records, setpoints, each, tuple(share for share, _ in moved), tuple(powers))
+    if unit is None:  # no share is asked
+        return ComparedRecords(dt, records, each, each, (0.0,) * len(records), (1.0,) * len(records))
+    moved = [_share(record, sp, alone) for record, (_, sp), alone in zip(records, both, each, strict=True)]
+    answered = [share for _, share in moved]
+    weighed = [_weighed(*one, direction, unit) for one in zip(records, each, answered, strict=True)]
+    powers = tuple(TEMPER / temper(share) for share in answered)
+    return ComparedRecords(dt, records, each, tuple(weighed), tuple(share for share, _ in moved), powers)
+
+
+def _weighed(record: Prepared, walk: FloatArray, share: float, direction: int, unit: float) -> FloatArray:
+    """Log-likelihood of every process as it counts.
+
+    walk : under a load that wanders. share : s of wandering_load.py.
+    """
+    by_loads = TEMPER * (1.0 - share) / T_LOADS * walk
+    if not share:
+        return by_loads
+    asked = np.zeros((len(shapes(EVERY_LAG)), *walk.shape[1:]), dtype=bool)
+    asked[: len(walk)] = True
+    answers = log_likelihood_of_answers(record, direction, unit, asked)[: len(walk)]
+    if not np.ptp(answers) > 0:  # too short for an autoregression
+        answers = TEMPER * walk
+    return by_loads + share / T_SETPOINT * answers
 
 
 def windows_of(window: Window, dt_s: float, most: int) -> list[Window]:

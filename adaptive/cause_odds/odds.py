@@ -22,7 +22,6 @@ import numpy as np
 from retuner.adaptive.cause_odds.compared_records import FEWEST_RECORD_SAMPLES, compared, windows_of
 from retuner.adaptive.cause_odds.odds_settings import OddsSettings
 from retuner.adaptive.cause_odds.smoothed_record import with_smoothing
-from retuner.adaptive.cause_odds.swinging_load import likelihood_swinging, swing_frequency
 from retuner.adaptive.cause_odds.valve_evidence import said_for_valve, shapes_of, unlike
 from retuner.adaptive.controller_settings.summed_law import rough_law
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
@@ -38,7 +37,7 @@ from retuner.adaptive.explanations.proposed_test import DecidingTest
 from retuner.adaptive.explanations.settings_by_odds import Worthwhile, halved, worthwhile
 from retuner.adaptive.explanations.slip_odds import log_odds_of_slips
 from retuner.adaptive.explanations.tuning_odds import TuningOdds, tuning_odds
-from retuner.adaptive.explanations.valve_odds import WEIGHT, log_mean, log_odds_of_valve
+from retuner.adaptive.explanations.valve_odds import WEIGHT, log_odds_of_valve
 from retuner.adaptive.explanations.wandering_load import TEMPER, Prepared, lead_of_steps
 from retuner.adaptive.fit.record import setpoint_changes
 from retuner.adaptive.fit.structure import model_at
@@ -62,9 +61,8 @@ class Walk:
     or of slips at times of their own. along : what they say for a gain that changes along pv.
     record : the longest window as it was compared. of_record : the log-likelihood of that one, tempered as it comes.
     moved : largest share of setpoint or hand in what moves a record (wandering_load.py).
-    swings : probability that a load swings, by process of the grid. period_s : of that swing, or of the load that
-    repeats (in the last record), nan for none. swung : ln of how many times likelier the records are where a load may
-    swing. repeats : ln Bayes factor of a load that repeats, tempered; where a valve is in question.
+    repeats : ln Bayes factor of a load that repeats, tempered; where a valve is in question. period_s : of it, in the
+    last record, nan for none.
     """
 
     log_likelihood: FloatArray
@@ -73,10 +71,8 @@ class Walk:
     record: Prepared
     of_record: FloatArray
     moved: float
-    swings: FloatArray
-    period_s: float
-    swung: float = 0.0
     repeats: float = -math.inf
+    period_s: float = math.nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,7 +185,7 @@ def _walk(windows: Sequence[Window], gains: PidGains | None, direction: int, set
     found = compared(windows, gains, direction, settings)
     if found is None:
         return None
-    records, each, shares, powers = found.records, found.each, found.shares, found.powers
+    records = found.records
     seen = records
     if len(records) > len(windows):  # fewer and longer ones, of rows twice as far apart: a valve's cycles are slow
         longer = (part for w in windows for part in windows_of(w, 2.0 * found.dt_s, settings.most_windows // 2))
@@ -200,22 +196,9 @@ def _walk(windows: Sequence[Window], gains: PidGains | None, direction: int, set
     if max(slips, default=0.0) > 0.0:
         valve = max(valve, sum(max(one, UNSEEN) for one in slips))
     longest = max(range(len(records)), key=lambda i: len(records[i].pv))
-    weighed, swings, swung, period_s = found.weighed, np.zeros(()), 0.0, math.nan
-    total = np.sum(weighed, axis=0)
-    if found.unit is not None and max(shares) > 0.0:
-        both = zip(records, found.setpoints, each, strict=True)
-        at = {i: w for i, one in enumerate(both) if (w := swing_frequency(*one)) is not None}
-        # loads alone say nothing of it: the less the setpoint moves, the less a swing is asked for
-        prior = settings.swings * min(max((shares[i] for i in at), default=0.0) / settings.swings_moved, 1.0)
-        if prior > 0.0:
-            swinging = total + math.log(prior)
-            for i, w in at.items():
-                swinging += powers[i] * likelihood_swinging(records[i], direction, found.unit, w) - weighed[i]
-                period_s = 2.0 * math.pi / w * found.dt_s
-            alone, total = total, np.logaddexp(total + math.log(1.0 - prior), swinging)
-            swings, swung = np.exp(swinging - total), log_mean(total) - log_mean(alone)
-    along = gain_along_pv(records, direction, powers)
-    return Walk(total, valve, along, records[longest], each[longest], max(shares), swings, period_s, swung)
+    along = gain_along_pv(records, direction, found.powers)
+    total = np.sum(found.weighed, axis=0)
+    return Walk(total, valve, along, records[longest], found.each[longest], max(found.shares))
 
 
 def _repeating(walk: Walk, windows: Sequence[Window], direction: int) -> Walk:
@@ -254,7 +237,7 @@ def _under_walk(
         Cause.OK: math.log(linear),
     }
     whole = float(np.logaddexp.reduce(list(said.values())))
-    straight = said | {Cause.NONLINEAR: -math.inf, Cause.OK: said[Cause.OK] + walk.swung}
+    straight = said | {Cause.NONLINEAR: -math.inf}
     beside_steps = float(np.logaddexp.reduce(list(straight.values())))
     p = {cause: math.exp(one - whole) for cause, one in said.items()}
     alone, repeats = p.pop(Cause.OK), p[Cause.EXTERNAL]
@@ -264,11 +247,6 @@ def _under_walk(
     tight = _less({Cause(name): one for name, one in odds.classes.items()})
     found = {Cause(name): one * (alone + repeats * (Cause(name) in LESS)) for name, one in odds.classes.items()}
     p[Cause.EXTERNAL] = repeats * (1.0 - tight)
-    if np.any(walk.swings):  # a loop in order whose load swings: the cause is outside
-        robust = np.where(odds.robustness.ms <= settings.limits.ms_high, odds.weights, 0.0)
-        outside = float(np.sum(robust * walk.swings)) / max(float(np.sum(robust)), 1e-300)
-        p[Cause.EXTERNAL] += found[Cause.OK] * outside
-        found[Cause.OK] *= 1.0 - outside
     return {**p, **found}, beside_steps - math.log(linear)
 
 

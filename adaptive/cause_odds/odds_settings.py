@@ -36,9 +36,6 @@ class OddsSettings:
     tone_from, tone_to : share of pv's variance in one lasting tone from which, and up to which, a record without a
         setpoint step is taken for that tone; 0.2 to 1, default 0.4 and 0.6 (loops near instability under real loads
         0 to 0.38 in 28 of 29, tones and narrow bands 0.41 to 1).
-    swings : prior that a load swings, where a record does and the setpoint moves it by this share (swings_moved) or
-        more; with less it is less in proportion, for loads alone say nothing of it; 0.02 to 0.2, default 0.05, and 0.1
-        to 0.8, default 0.3.
     smooths : prior that a recorder has smoothed pv and co by averages or lines; 0.02 to 0.3, default 0.1.
     most : no probability is told larger; 0.9 to 0.99, default 0.97: more was never counted.
     more_odds : odds of a cause that asks for more gain from which settings are given; 0.5 to 0.9, default 0.6.
@@ -73,8 +70,6 @@ class OddsSettings:
     tone_alone: float = 0.6
     tone_from: float = 0.4
     tone_to: float = 0.6
-    swings: float = 0.05
-    swings_moved: float = 0.3
     smooths: float = 0.1
     most: float = 0.97
     more_odds: float = 0.6

@@ -108,8 +108,8 @@ def tuning_odds(
     known = robustness(gains, sample_time_s)
     classes = class_of(known, gains, sample_time_s, limits)
     within = known.ultimate * limits.beyond >= GAINS
-    likelihood = np.exp(log_likelihood - float(np.max(log_likelihood[within], initial=-np.inf)))
-    likelihood[~within] = 0.0
+    largest = float(np.max(log_likelihood[within], initial=-np.inf))
+    likelihood = np.exp(np.where(within, log_likelihood - largest, -np.inf))
     usual_ones = _usual(known, classes, gains, sample_time_s, limits)
     weights = np.zeros_like(likelihood)
     for i, name in enumerate(CLASSES):

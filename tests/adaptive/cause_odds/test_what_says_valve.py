@@ -56,7 +56,7 @@ def test_a_load_that_repeats_is_a_rival_of_the_valve_and_of_a_robust_loop_alone(
     """And what is not asked where loads are steps, whether the gain bends, is no rival of these."""
     settings = OddsSettings()
     along, record = GainAlongPv(3.0, 5.0, 0.0, 1.0), Prepared(np.zeros(1), np.zeros(1), 0.0, 1.0)
-    walk = Walk(np.zeros(1), 4.0 * WEIGHT, along, record, np.zeros(1), 0.9, np.zeros(()), 60.0, repeats=4.0)
+    walk = Walk(np.zeros(1), 4.0 * WEIGHT, along, record, np.zeros(1), 0.9, 4.0, 60.0)
     by_tightness = []
     for tight in (0.0, 0.9):
         classes = {"ok": 1.0 - tight, "aggressive": tight, "slow_integrating": 0.0, "sluggish": 0.0}

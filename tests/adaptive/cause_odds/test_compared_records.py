@@ -1,0 +1,45 @@
+"""A load that swings beside setpoint steps is no reason to cut the gain, and no excuse for too much of it."""
+
+import math
+
+import numpy as np
+import pytest
+
+from retuner.adaptive.cause_odds.odds import diagnose_records
+from retuner.adaptive.diagnosis.cause import Cause
+from retuner.adaptive.signals.sample import Window
+from retuner.schedule.gains import PidGains
+
+PERIOD, N = 24.0, 480
+SETPOINT = np.repeat([0.0, 20.0, 5.0, 25.0], N // 4)
+GOOD, TIGHT = PidGains(1.6, 0.08), PidGains(4.8, 0.24)
+"""Ms 1.4 and 3.7 on the loop below."""
+
+
+def swung(gains: PidGains, seed: int) -> Window:
+    """PI on a lag of 20 s with 4 s dead time: three setpoint steps, and a load through a resonance of PERIOD."""
+    rng = np.random.default_rng(seed)
+    w, r = 2.0 * math.pi / PERIOD, math.exp(-0.05 * 2.0 * math.pi / PERIOD)
+    push = np.zeros(N)
+    for i in range(N):
+        before, two = (push[i - k] if i >= k else 0.0 for k in (1, 2))
+        push[i] = 2.0 * r * math.cos(w) * before - r * r * two + rng.standard_normal()
+    pole, total, y = math.exp(-1 / 20.0), 0.0, 0.0
+    pv, co = np.zeros(N), np.zeros(N)
+    for i in range(N):
+        y = pole * y + (1 - pole) * ((co[i - 5] if i > 4 else 0.0) + push[i])
+        pv[i] = y + 0.1 * rng.standard_normal()
+        total += gains.ki * (SETPOINT[i] - pv[i])
+        co[i] = gains.kp * (SETPOINT[i] - pv[i]) + total
+    return Window(np.arange(float(N)), SETPOINT, pv, co)
+
+
+@pytest.mark.parametrize(
+    ("gains", "seed", "cause"),
+    [(GOOD, 3, Cause.OK), (GOOD, 8, Cause.OK), (TIGHT, 3, Cause.AGGRESSIVE), (TIGHT, 8, Cause.AGGRESSIVE)],
+)
+def test_under_a_load_that_swings_the_setpoint_tells_the_tuning(gains: PidGains, seed: int, cause: Cause) -> None:
+    """Under a load that wanders alone the good loop was too tight by 99 %."""
+    found = diagnose_records([swung(gains, seed)], gains)
+    assert found.found.diagnosis.causes[str(cause)] > 0.9
+    assert (found.settings is not None) == (cause == Cause.AGGRESSIVE)
