@@ -280,7 +280,10 @@ def _under_steps(
             continue
         named, seen = loop / weight * told.confidence, tone / weight * max(outside, HALF)
         shares = {cause: (1.0 - named - seen) * p for cause, p in under_walk.items()}  # where steps are silent
-        for cause, share in ((told.cause, named), (Cause.EXTERNAL, seen)):
+        by_loads = told.cause == Cause.OK and walk.moved < settings.moved
+        slow = _perhaps_sluggish(under_walk) if by_loads else 0.0
+        by_steps = ((told.cause, named * (1.0 - slow)), (Cause.SLUGGISH, named * slow), (Cause.EXTERNAL, seen))
+        for cause, share in by_steps:
             if share:
                 shares[cause] = shares.get(cause, 0.0) + share
         for cause in dict.fromkeys((*shares, *total)):
@@ -291,6 +294,16 @@ def _under_steps(
     top = max(total.values())
     odds = {cause: math.exp(value - top) for cause, value in total.items()}
     return {cause: value / sum(odds.values()) for cause, value in odds.items()}, most
+
+
+def _perhaps_sluggish(under_walk: Mapping[Cause, float]) -> float:
+    """Share of a verdict "in order" by loads alone that a sluggish loop has, as under a load that wanders.
+
+    A slow process makes ramps of steps, and so explains a fast one under loads that are none: of seven loops under real
+    loads that were told as in order so, three were sluggish. No slow process makes what is sharp of a fast one.
+    """
+    ok, sluggish = (under_walk.get(cause, 0.0) for cause in (Cause.OK, Cause.SLUGGISH))
+    return sluggish / (ok + sluggish) if sluggish else 0.0
 
 
 def _one_tone(window: Window, found: RecordVerdict, settings: OddsSettings) -> float:

@@ -292,6 +292,21 @@ def test_a_lasting_tone_weighs_less_the_likelier_a_valve_is(monkeypatch: pytest.
         assert told[1] == pytest.approx(weight)
 
 
+@pytest.mark.parametrize(("moved", "ok", "sluggish"), [(0.0, 0.6, 0.3), (0.5, 0.9, 0.0)])
+def test_load_steps_alone_leave_in_order_and_sluggish_as_a_walk_has_them(
+    monkeypatch: pytest.MonkeyPatch, moved: float, ok: float, sluggish: float
+) -> None:
+    """Three sluggish loops under ramps of another loop were told as in order with 92 to 96 %."""
+    monkeypatch.setattr(odds, "_one_tone", lambda *_: 0.0)
+    monkeypatch.setattr(odds, "_weight_of_steps", lambda *_: 1.0)
+    found: Any = SimpleNamespace(diagnosis=Diagnosis(Cause.OK, 0.9, {}, ""), fits={})
+    walk: Any = SimpleNamespace(moved=moved)
+    share = {Cause.OK: 0.4, Cause.SLUGGISH: 0.2, Cause.AGGRESSIVE: 0.4}
+    told, _ = odds._under_steps([(loop(), found)], share, 0.0, walk, GAINS, OddsSettings())
+    assert told[Cause.OK] == pytest.approx(ok + 0.04, abs=0.01)
+    assert told[Cause.SLUGGISH] == pytest.approx(sluggish + 0.02, abs=0.01)
+
+
 def beside_a_tone(
     cause: Cause, lead: float, *, k: float = 1.0, left: float = 1.0, steps: float = 1.0, period_s: float = 30.0
 ) -> Any:
