@@ -139,7 +139,8 @@ def diagnose_records(
     stepped = any(setpoint_changes(w) for w, _ in open_ones)  # what a valve does after a step may repeat as steps do
     if not stepped and (walk.valve > 0.0 or by_shape > 0.0):
         walk = max((_repeating(walk, [w for w, _ in open_ones], one) for one in signs), key=lambda w: w.repeats)
-    under_walk, whole = _under_walk(walk, odds, by_shape, free, settings)
+    tones = [_lasting_tone(f, settings) for _, f in open_ones if stepped and "external" in f.fits]
+    under_walk, whole = _under_walk(walk, odds, by_shape, free, settings, max(tones, default=0.0))
     under_steps, weight = _under_steps(open_ones, under_walk, whole, walk, known, settings)
     most = 1.0 - (1.0 - settings.most) / len(open_ones)
     causes = _mixed(under_steps, under_walk, weight, most)
@@ -218,13 +219,13 @@ And of a valve of one band, from which none is looked for."""
 
 
 def _under_walk(
-    walk: Walk, odds: TuningOdds | None, shapes: float, free: float, settings: OddsSettings
+    walk: Walk, odds: TuningOdds | None, shapes: float, free: float, settings: OddsSettings, tone: float = 0.0
 ) -> tuple[dict[Cause, float], float]:
     """Odds under a load that wanders, and ln of how many times likelier loop, valve and load that repeats are than the
     loop alone. Whether the gain changes along pv is not asked where loads are steps.
 
     shapes : what shapes and plateaus say for a valve, in all records. free : logarithm of a factor against the valves
-    of the grid up to which it says nothing (unlike).
+    of the grid up to which it says nothing (unlike). tone : how far a tone that lasts moves pv beside setpoint steps.
     """
     linear = 1.0 - settings.stiction - settings.nonlinear - settings.repeats
     # Loads alone may bend a record, and no process that bends has a pv that stands while co travels
@@ -247,6 +248,8 @@ def _under_walk(
     tight = _less({Cause(name): one for name, one in odds.classes.items()})
     found = {Cause(name): one * (alone + repeats * (Cause(name) in LESS)) for name, one in odds.classes.items()}
     p[Cause.EXTERNAL] = repeats * (1.0 - tight)
+    p[Cause.EXTERNAL] += tone * found[Cause.OK]  # a loop in order does not swing by itself
+    found[Cause.OK] *= 1.0 - tone
     return {**p, **found}, beside_steps - math.log(linear)
 
 
@@ -311,7 +314,12 @@ def _one_tone(window: Window, found: RecordVerdict, settings: OddsSettings) -> f
 
     A setpoint step is something else. A loop near instability under a real load wanders in amplitude and phase.
     """
-    if setpoint_changes(window) or not _lasts(found):
+    return 0.0 if setpoint_changes(window) else _lasting_tone(found, settings)
+
+
+def _lasting_tone(found: RecordVerdict, settings: OddsSettings) -> float:
+    """How far a tone that lasts, and is not the setpoint's, moves pv, 0 to 1."""
+    if not _lasts(found):
         return 0.0
     share = found.diagnosis.evidence.get("tone_share", 0.0)
     return min(max((share - settings.tone_from) / (settings.tone_to - settings.tone_from), 0.0), 1.0)

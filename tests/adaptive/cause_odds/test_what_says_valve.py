@@ -65,6 +65,11 @@ def test_a_load_that_repeats_is_a_rival_of_the_valve_and_of_a_robust_loop_alone(
     (found, rivals), (tight_one, _) = by_tightness
     assert found[Cause.STICTION] > found[Cause.EXTERNAL] > 0.1  # as likely as the valve, and rarer
     assert tight_one[Cause.EXTERNAL] < 0.2 * found[Cause.EXTERNAL] < tight_one[Cause.AGGRESSIVE]
+    of_loop.classes |= {"ok": 0.6, "sluggish": 0.4, "aggressive": 0.0}
+    alone, beside = (odds._under_walk(walk, of_loop, 0.0, 0.0, settings, tone)[0] for tone in (0.0, 1.0))
+    assert beside[Cause.OK] == 0.0  # what swings on and on beside setpoint steps is no loop in order
+    assert beside[Cause.EXTERNAL] == pytest.approx(alone[Cause.EXTERNAL] + alone[Cause.OK])
+    assert beside[Cause.SLUGGISH] == alone[Cause.SLUGGISH]
     straight = replace(walk, along=GainAlongPv(-3.0, 5.0, 0.0, 1.0))
     assert odds._under_walk(straight, None, 0.0, 0.0, settings)[1] == pytest.approx(rivals)
 
