@@ -158,8 +158,7 @@ def by_book(book: Book, gains: PidGains, settings: BookSettings) -> ByBook:
     numbers = BookNumbers(high, room, middle, low, most, float(book.records), book.tone)
     by_orders, tried = [book.drawn(settings.drawn, order) for order in (() if told else ORDERS)], list[PidGains]()
     integral_times = [_integral_times(book, one) for one in (drawn, *by_orders)]
-    if told or max(room, high) >= settings.more_odds:  # also where Ms is too high, if more action makes it less
-        tried += _sets(gains, MORE_OF_ALL, integral_times, settings)
+    tried += _sets(gains, MORE_OF_ALL, integral_times, settings)
     if told:
         for kind in (MORE_GAIN, MORE_INTEGRAL) if high >= settings.less_odds else (MORE_GAIN,):
             tried += _sets(gains, kind, integral_times, settings)
