@@ -3,14 +3,13 @@
     worth(set) = E[cost(in force)] - E[cost(set)],     cost as in likely_processes.py
 
 The expectation is over processes drawn from the book, each as likely as the others; what is told of the gains in force
-holds between the grid's points as well (`over_cells`). On line a change costs more than words:
-it is made where the book is clear, and was at the look before (for less action after the whole window before), and
-where no tone from outside may be what moves it, unless the setpoint has moved it as well. Less action, where Ms is
-probably too high with the gains in force. More, where the loop probably has room, a set with more is probably cheaper,
-and next to no process makes a bad loop of it: a share of the way, where the whole is not sure.
-No more where next to all processes run away, for on these nothing is proved; no less where it would hold them worse.
-No more integral action for the gain than the rule gives next to every process (SIMC: Skogestad 2003), for a load that
-comes back by itself looks like a process that does.
+holds between the grid's points as well (`over_cells`). On line a change costs more than words: it is made where the
+book is clear, and was at the look before (for less action after the whole window before), and where no tone from
+outside may be what moves it, unless the setpoint has moved it as well. Less action, where Ms is probably too high with
+the gains in force. More, where a set with more is probably cheaper, and next to no process makes a bad loop of it: a
+share of the way, where the whole is not sure. No more where next to all processes run away, for on these nothing is
+proved; no less where it would hold them worse. No more integral action for the gain than the rule gives next to every
+process (SIMC: Skogestad 2003), for a load that comes back by itself looks like a process that does.
 How the spectrum of a load falls is assumed, and in closed loop much of what a record says rests on that (Forssell &
 Ljung 1999). So under each order of the walk by itself a shorter integral time must not be shorter than the rule's, and
 by loads alone less action must be as likely better as not.
@@ -69,9 +68,7 @@ class BookSettings:
     less_odds: float = setting(0.85, "Odds of ms_high from which less action follows", "0.5..0.9")
     sure_odds: float = setting(0.95, "Odds from which it does at once, behind a whole window", "0.9..0.99")
     more_odds: float = setting(
-        0.85,
-        "Odds of being cheaper, and of a good Ms, from which more action follows; by loads alone of room as well",
-        "0.5..0.9",
+        0.85, "Odds of being cheaper, and of a good Ms, from which more action follows", "0.5..0.9"
     )
     restless: float = setting(0.3, "Share of samples outside the noise band from which a load wanders", "0.1..0.9")
     most: float = setting(0.7, "How much a change may save or cost on a process", "0.2..2.5", "ln 2: it is on trial")
@@ -148,20 +145,20 @@ MS_SHOWN = 20.0  # a larger Ms, and an unstable loop, is told as this
 def by_book(book: Book, gains: PidGains, settings: BookSettings) -> ByBook:
     """What the book says of the gains in force, and the settings that are worth most over it.
 
-    By loads alone less action is the best or none, and more needs room for much more (`room`). Once the setpoint has
-    moved the loop, more gain with a longer integral time may be better, or less with a shorter one if Ms is too high.
+    By loads alone less action is the best or none. Once the setpoint has moved the loop, more gain with a longer
+    integral time may be better, or less with a shorter one if Ms is too high.
     """
     drawn, told = book.drawn(settings.drawn), book.told_by_setpoint
     ms, cells, (high, room) = drawn.peaks(gains), over_cells(drawn, settings.drawn), shares(drawn, gains, settings)
     shown = np.minimum(cells.peaks(gains), MS_SHOWN)
     middle, low, most = (quantile(shown, cells.weights, share) for share in (0.5, 0.05, 0.95))
     numbers = BookNumbers(high, room, middle, low, most, float(book.records), book.tone)
-    by_orders, tried = [book.drawn(settings.drawn, order) for order in (() if told else ORDERS)], list[PidGains]()
+    by_orders = [book.drawn(settings.drawn, order) for order in (() if told else ORDERS)]
     integral_times = [_integral_times(book, one) for one in (drawn, *by_orders)]
-    tried += _sets(gains, MORE_OF_ALL, integral_times, settings)
+    kinds = [MORE_OF_ALL]
     if told:
-        for kind in (MORE_GAIN, MORE_INTEGRAL) if high >= settings.less_odds else (MORE_GAIN,):
-            tried += _sets(gains, kind, integral_times, settings)
+        kinds += [MORE_GAIN, MORE_INTEGRAL] if high >= settings.less_odds else [MORE_GAIN]
+    tried = [one for kind in kinds for one in _sets(gains, kind, integral_times, settings)]
     leans, best = 0, _best(drawn, gains, tried, settings, more=True)
     if best is not None and gain(drawn, gains, best[1], settings)[1] >= settings.more_odds:
         leans = 1

@@ -430,7 +430,7 @@ def _cause_of(
     gain_up, integral_up = abs(new.kp) > NEARLY * abs(now.kp), abs(new.ki) > NEARLY * abs(now.ki)
     better = gain(book.drawn(settings.drawn), now, new, settings)[1]
     if gain_up and integral_up:
-        return Cause.SLUGGISH, better if book.told_by_setpoint else told.numbers.book_room, "more action"
+        return Cause.SLUGGISH, better, "more action"
     cause, up, down = (
         (Cause.AGGRESSIVE, "gain", "integral action") if gain_up else (Cause.SLUGGISH, "integral action", "gain")
     )

@@ -895,17 +895,10 @@ def test_a_tone_that_a_response_is_diagnosed_as_counts_in_the_book(cause: Cause,
     assert (tones[1] > 1.2 * tones[0]) is more
 
 
-@pytest.mark.parametrize(
-    ("room", "moved", "ms_good", "enough"),
-    [(0.0, 1.0, 1.7, True), (0.0, 1.0, 1.1, False), (0.8, 0.0, 1.7, False), (0.9, 0.0, 1.7, True)],
-)
-def test_more_action_needs_a_good_ms_and_by_loads_alone_room_for_much_more(
-    monkeypatch: pytest.MonkeyPatch, room: float, moved: float, ms_good: float, *, enough: bool
-) -> None:
+@pytest.mark.parametrize(("moved", "ms_good", "enough"), [(1.0, 1.7, True), (0.0, 1.7, True), (1.0, 1.1, False)])
+def test_more_action_needs_a_good_ms(moved: float, ms_good: float, *, enough: bool) -> None:
     now = scaled(0.25)
     book = replace(after(now, 3), leans=1, moved=moved)
-    monkeypatch.setattr(settings_by_book, "shares", lambda *_: (0.1, room))
-    monkeypatch.setattr(settings_by_book, "MORE_GAIN", ((), (), 0.0, 1.0))
     told = by_book(book, now, replace(SETTINGS, ms_good=ms_good))
     assert (told.leans == 1, told.tuning is not None) == (enough, enough)
 
