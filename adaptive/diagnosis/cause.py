@@ -177,8 +177,13 @@ def tuning_cause(
     if gains.kd and not model.tau2_s and found.ms > settings.ms_high and cured(model, gains, settings.ms_high, lagged):
         unsure = "the controller has derivative action, and a model without a second lag cannot judge it"
         return Diagnosis(Cause.UNKNOWN, 1.0, evidence, unsure)
-    room = max(slack, weak)
-    return Diagnosis(cause, _confidence(found, room, cause, gain_uncertainty, settings), evidence, reason)
+    # how many standard deviations of the gain lie between the loop and the nearest limit, as a normal probability
+    behind = max(slack, weak)
+    over = math.log(max(found.ms, 1.0) / settings.ms_high) if found.stable else math.inf
+    room = math.log(max(behind, 1e-9) / settings.slack) if math.isfinite(behind) else math.inf
+    distance = min(abs(over), abs(room)) if cause == Cause.OK else max(over, room)
+    confidence = 0.5 * (1 + math.erf(distance / max(gain_uncertainty, 1e-6) / math.sqrt(2)))
+    return Diagnosis(cause, confidence, evidence, reason)
 
 
 HIDDEN_LAGS = (0.25, 0.5, 0.75)
@@ -249,11 +254,3 @@ def _name(found: Margins, slack: float, weak: float, settings: CauseSettings) ->
         cause = Cause.SLOW_INTEGRATING if weak > slack * settings.slack else Cause.SLUGGISH
         return cause, f"the gain could be {weak:.1f} times larger at Ms {found.ms:.2f}"
     return Cause.OK, f"Ms {found.ms:.2f}, integral gain {1 / max(slack, 1e-9):.0%} of the tuning rule's"
-
-
-def _confidence(found: Margins, slack: float, cause: Cause, gain_uncertainty: float, settings: CauseSettings) -> float:
-    """How many standard deviations of the gain lie between the loop and the nearest limit, as a normal probability."""
-    over = math.log(max(found.ms, 1.0) / settings.ms_high) if found.stable else math.inf
-    room = math.log(max(slack, 1e-9) / settings.slack) if math.isfinite(slack) else math.inf
-    distance = min(abs(over), abs(room)) if cause == Cause.OK else max(over, room)
-    return 0.5 * (1 + math.erf(distance / max(gain_uncertainty, 1e-6) / math.sqrt(2)))

@@ -111,13 +111,16 @@ def not_seen(response: Response, foretold: Trace, settings: SwingSettings) -> st
     if len(said) < THIRD or not said[0]:
         return ""
     second, third = (said[i] / said[0] * seen[0] for i in (1, 2))
+    told = (
+        f"the loop refutes the model that fits: by it the third peak of the error would be {third:.3g} in units of pv"
+    )
     if len(seen) < THIRD:  # a swing that rides on a slow return does not cross over, and shows no peaks
         due = _due(response, foretold, said, unnoticed, settings) * seen[0] / said[0]
         missing = response.ending == Ending.QUIET and settings.shown * min(second, due) > least
-        return f"{_says(third)}, but the error came to rest after {len(seen)}" if missing else ""
+        return f"{told}, but the error came to rest after {len(seen)}" if missing else ""
     if seen[2] + least > settings.shown * third:
         return ""
-    return f"{_says(third)}, and was {seen[2]:.3g}"
+    return f"{told}, and was {seen[2]:.3g}"
 
 
 def _due(response: Response, trace: Trace, said: list[float], unnoticed: int, settings: SwingSettings) -> float:
@@ -146,9 +149,3 @@ def foretold(response: Response, loop: ClosedLoop, ramp_s: float = 0.0) -> Trace
         return trace
     summed = np.concatenate([np.zeros(steps), np.cumsum(trace.e)])
     return replace(trace, e=(summed[steps:] - summed[:-steps]) / steps)
-
-
-def _says(third: float) -> str:
-    return (
-        f"the loop refutes the model that fits: by it the third peak of the error would be {third:.3g} in units of pv"
-    )

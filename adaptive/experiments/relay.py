@@ -85,26 +85,6 @@ class RelayCycle:
         return plain_values(self, f"{names} phase_deg")
 
 
-@dataclass(frozen=True, slots=True)
-class _Waves:
-    """Full waves: index of first and last sample, duration in s, largest and smallest pv."""
-
-    spans: list[tuple[int, int]]
-    periods: FloatArray
-    highs: FloatArray
-    lows: FloatArray
-
-    @property
-    def amplitudes(self) -> FloatArray:
-        """Half the height of each."""
-        return (self.highs - self.lows) / 2
-
-    @property
-    def amplitude(self) -> float:
-        """Mean of the half waves' amplitudes."""
-        return float(np.mean(self.amplitudes))
-
-
 def relay_cycle(window: Window, hysteresis: float = 0.0) -> RelayCycle:
     """Evaluate a record of relay feedback.
 
@@ -136,13 +116,15 @@ def relay_cycle(window: Window, hysteresis: float = 0.0) -> RelayCycle:
             kept.append(i)
     if len(kept) < FEWEST_WAVES:
         raise ValueError("no two waves of the relay are alike; not a limit cycle yet: record longer")
-    waves = _waves(window, [(int(switches[i]), int(switches[i + 2])) for i in kept], hysteresis)
+    spans, periods, highs, lows = _waves(window, [(int(switches[i]), int(switches[i + 2])) for i in kept], hysteresis)
+    amplitudes = (highs - lows) / 2
+    amplitude = float(np.mean(amplitudes))
     co_high, co_low = median(window.co[upper]), median(window.co[~upper])
     d = (co_high - co_low) / 2
-    point = _fundamental(window, waves.spans)
+    point = _fundamental(window, spans)
     # mean durations of the upper and of the lower half-wave
     found: dict[bool, list[float]] = {True: [], False: []}
-    for a, b in waves.spans:
+    for a, b in spans:
         first = bool(upper[a])
         switch = a + int(np.argmax(upper[a:b] != first))
         found[first].append(float(window.t_s[switch] - window.t_s[a]))
@@ -151,36 +133,40 @@ def relay_cycle(window: Window, hysteresis: float = 0.0) -> RelayCycle:
     # pv and co averaged over time, wave by wave
     held = np.diff(window.t_s)
     pv_mean, co_mean = (
-        float(np.mean([float(x[a:b] @ held[a:b] / np.sum(held[a:b])) for a, b in waves.spans]))
+        float(np.mean([float(x[a:b] @ held[a:b] / np.sum(held[a:b])) for a, b in spans]))
         for x in ((window.pv + np.roll(window.pv, -1)) / 2, window.co)
     )
     # Ultimate gain by the describing function: relay of amplitude d, waves of amplitude a
     return RelayCycle(
-        ku=4 * d / (math.pi * math.sqrt(waves.amplitude * waves.amplitude - hysteresis * hysteresis)),
-        pu_s=float(np.mean(waves.periods)),
-        ku_std=float(np.std(4 * d / (math.pi * np.sqrt(waves.amplitudes**2 - hysteresis**2)))),
-        pu_std_s=float(np.std(waves.periods)),
-        waves=len(waves.spans),
-        amplitude=waves.amplitude,
+        ku=4 * d / (math.pi * math.sqrt(amplitude * amplitude - hysteresis * hysteresis)),
+        pu_s=float(np.mean(periods)),
+        ku_std=float(np.std(4 * d / (math.pi * np.sqrt(amplitudes**2 - hysteresis**2)))),
+        pu_std_s=float(np.std(periods)),
+        waves=len(spans),
+        amplitude=amplitude,
         co_amplitude=d,
         hysteresis=hysteresis,
         high_s=high_s,
         low_s=low_s,
-        pv_high=float(np.mean(waves.highs)),
-        pv_low=float(np.mean(waves.lows)),
+        pv_high=float(np.mean(highs)),
+        pv_low=float(np.mean(lows)),
         pv_mean=pv_mean,
         co_mean=co_mean,
         co_high=co_high,
         co_low=co_low,
-        from_s=float(window.t_s[waves.spans[0][0]]),
-        to_s=float(window.t_s[waves.spans[-1][1]]),
+        from_s=float(window.t_s[spans[0][0]]),
+        to_s=float(window.t_s[spans[-1][1]]),
         gain=abs(point),
         phase_deg=math.degrees(cmath.phase(point)) % 360 - 360,
     )
 
 
-def _waves(window: Window, spans: list[tuple[int, int]], hysteresis: float) -> _Waves:
-    """Measure the waves, each of which must rise above the hysteresis, and leave outliers out."""
+def _waves(
+    window: Window, spans: list[tuple[int, int]], hysteresis: float
+) -> tuple[list[tuple[int, int]], FloatArray, FloatArray, FloatArray]:
+    """Spans of the waves without outliers, their durations in s, largest and smallest pv; each must rise above the
+    hysteresis.
+    """
     t, dt = window.t_s, window.sample_time_s
     periods = np.array([t[b] - t[a] for a, b in spans])
     pv = _peaks_kept(window.pv, median(periods) / dt)
@@ -190,13 +176,14 @@ def _waves(window: Window, spans: list[tuple[int, int]], hysteresis: float) -> _
     quantum = float(np.min(steps[steps > 0], initial=np.inf))
     usual = _near_median(periods, dt) & _near_median(highs - lows, min(2 * quantum, median(highs - lows)))
     spans = [span for span, kept in zip(spans, usual, strict=True) if kept]
-    waves = _Waves(spans, periods[usual], highs[usual], lows[usual])
-    if np.min(waves.amplitudes) <= hysteresis * NEXT_TO_HYSTERESIS:
+    highs, lows = highs[usual], lows[usual]
+    amplitudes = (highs - lows) / 2
+    if np.min(amplitudes) <= hysteresis * NEXT_TO_HYSTERESIS:
         raise ValueError(
-            f"the waves of pv are {waves.amplitude:.3g} high on either side, no more than the hysteresis of "
+            f"the waves of pv are {float(np.mean(amplitudes)):.3g} high on either side, no more than the hysteresis of "
             f"{hysteresis:.3g}; raise the relay's amplitude or lower its hysteresis"
         )
-    return waves
+    return spans, periods[usual], highs, lows
 
 
 def _near_median(values: FloatArray, slack: float) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
