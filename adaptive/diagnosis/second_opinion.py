@@ -138,7 +138,8 @@ def unconfirmed(
     """
     if not excitation.setpoints and excitation.loads < swing.fewest_loads:
         reason = "one load response is not enough: another one, or a setpoint step, must agree"
-        return _unknown(reason, excitation)
+        evidence = {"setpoint_responses": float(excitation.setpoints), "load_responses": float(excitation.loads)}
+        return Diagnosis(Cause.UNKNOWN, 0.5, evidence, reason)
     length_s = response.t_end_s - response.t_start_s
     stretched = stretch(samples, response.t_start_s - swing.most_lookback * length_s, swing.same_gains)
     seen = from_rest(stretched, response, swing)
@@ -202,9 +203,3 @@ def from_rest(samples: list[LoopSample], response: Response, settings: SwingSett
         elif sample.t_s - samples[since].t_s >= needed_s:
             return samples[since:]
     return samples[dwarfed:]
-
-
-def _unknown(reason: str, excitation: Excitation) -> Diagnosis:
-    """The diagnosis of too little."""
-    evidence = {"setpoint_responses": float(excitation.setpoints), "load_responses": float(excitation.loads)}
-    return Diagnosis(Cause.UNKNOWN, 0.5, evidence, reason)

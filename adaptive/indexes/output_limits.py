@@ -9,7 +9,6 @@ it likes, and co does not follow.
 """
 
 import numpy as np
-import numpy.typing as npt
 
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.late_dataclass import dataclass
@@ -62,7 +61,10 @@ def _recognised(x: FloatArray, push: FloatArray | None) -> float:
     top = x == np.max(x)
     lengths = runs(top)
     if push is not None:
-        held = _long(top)
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], top.astype(np.int8), [0]])))
+        held = np.zeros_like(top)  # in runs of STRETCH and more
+        for start, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+            held[start:end] = end - start >= STRETCH
         crossings = int(np.count_nonzero(np.diff(np.sign(push[held]))))
         if float(np.mean(push[top] < 0)) > BACK or crossings > CROSSINGS * max(len(runs(held)), 1):
             return 0.0  # a hand holds co at its extreme
@@ -70,15 +72,6 @@ def _recognised(x: FloatArray, push: FloatArray | None) -> float:
     long = int(np.sum(lengths >= STRETCH))
     seen = is_limit(len(x), changes, int(np.sum(lengths)), len(lengths), long, int(np.max(lengths)))
     return float(np.mean(top)) if seen else 0.0
-
-
-def _long(true: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    """Which samples are true and stand in runs of STRETCH and more."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], true.astype(np.int8), [0]])))
-    found = np.zeros_like(true)
-    for start, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
-        found[start:end] = end - start >= STRETCH
-    return found
 
 
 def runs(true: np.ndarray) -> np.ndarray:

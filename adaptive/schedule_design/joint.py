@@ -441,15 +441,22 @@ def with_loads(joint: Joint, form: CurveForm, now: At, noise: Noise) -> Joint:
         local = local_at(form, batch, now.z[:, None])
         arriving = form.arriving(batch, local, now.z[:, None])
         explained = (response(local, arriving, batch.h_s) + form.drift(batch, local, now.z[:, None]))[..., 0]
-        waves = _waves(batch, local, form.outside(batch))
+        # what a slope at the start and the variable's push, and a load step that enters at each row, do to pv
+        rows, count = batch.pv.shape
+        entered = np.broadcast_to(
+            (np.arange(rows - 1)[:, None] >= np.arange(rows))[:, None, :], (rows - 1, count, rows)
+        )
+        by_load = response(local.repeated(rows), entered.astype(np.float64), batch.h_s)
+        begun = response(local, np.zeros((rows - 1, count, 1)), batch.h_s, np.ones((count, 1)))
+        beside = np.concatenate([begun, *push_ways(batch, local, form.outside(batch))], axis=2)
         theta, tau = (float(np.exp(median(p))) for p in (local.theta, local.b * 0 if local.tau is None else local.tau))
         for j, stretch in enumerate(batch.stretches):
             n, h = len(stretch), stretch.signals.h_s
             y = white(stretch.pv - explained[:n, j], noise.ar) / noise.sigma[done]
-            rest = [np.ones(n), *waves[0][:n, j].T]
+            rest = [np.ones(n), *beside[:n, j].T]
             columns = white(np.stack(rest, axis=1), noise.ar) / noise.sigma[done]
             barred = int((2 * theta + 0.2 * tau) / h) + 4 if stretch.changed else 0
-            steps = white(waves[1][:n, j], noise.ar) / noise.sigma[done]
+            steps = white(by_load[:n, j], noise.ar) / noise.sigma[done]
             # rows of the load steps that pay, one after the other, none within COARSE rows of another
             allowed = range(max(barred, 3), n - max(6, int(theta / h)))
             chosen: list[int] = []
@@ -470,15 +477,3 @@ def with_loads(joint: Joint, form: CurveForm, now: At, noise: Noise) -> Joint:
             loads.append(tuple(sorted(chosen)))
             done += 1
     return replace(joint, loads=tuple(loads))
-
-
-def _waves(batch: Batch, local: Local, outside: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """What a slope at the start and the variable's push, (rows, stretches, 1 or 2), and a load step do to pv.
-
-    A load step entering at each row: (rows, stretches, rows).
-    """
-    rows, count = batch.pv.shape
-    steps = np.broadcast_to((np.arange(rows - 1)[:, None] >= np.arange(rows))[:, None, :], (rows - 1, count, rows))
-    loads = response(local.repeated(rows), steps.astype(np.float64), batch.h_s)
-    begun = response(local, np.zeros((rows - 1, count, 1)), batch.h_s, np.ones((count, 1)))
-    return np.concatenate([begun, *push_ways(batch, local, outside)], axis=2), loads
