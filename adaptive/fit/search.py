@@ -217,18 +217,7 @@ def with_second_lag(smaller: Fit, type_: ProcessType, others: list[Fit], count: 
     """
     misfit = replace(smaller.misfit, type=type_)
     nested = _insert(smaller, type_, smaller.x, LEAST_TIME * 2 * misfit.record.sample_time_s)
-    theta, points = math.exp(smaller.x[THETA]), [nested]
-    for share in SHARES:  # the dead time shared out
-        x = smaller.x.copy()
-        x[THETA] = math.log(theta * (1 - share))
-        points.append(_insert(smaller, type_, x, theta * share))
-    if type_ in LAG:
-        for ratio in SWING:  # pairs of equal lags or swinging poles
-            x = smaller.x.copy()
-            c2 = ratio * math.exp(x[LAG[type_]])
-            x[THETA] = math.log(max(theta - c2 / 2, theta / 10))
-            points.append(_insert(smaller, type_, x, c2))
-    points += [long_lag(o, type_) for o in others]
+    points = [nested, *_splits(smaller, type_), *(long_lag(o, type_) for o in others)]
     order = np.argsort(misfit.costs(points), kind="stable")[:count]
     found = min((refine(misfit, points[i]) for i in order), key=lambda f: f.deviance)
     if found.deviance > smaller.deviance * WORSE:
@@ -313,6 +302,23 @@ def _insert(smaller: Fit, type_: ProcessType, x: FloatArray, c2: float) -> Float
     size, loads = SIZE[smaller.misfit.type], smaller.misfit.loads
     times = np.maximum(smaller.p[size : size + loads] - c2, 0.0)
     return np.concatenate([x[: SECOND[type_]], [math.log(c2)], times, smaller.p[size + loads :]])
+
+
+def _splits(smaller: Fit, type_: ProcessType) -> list[FloatArray]:
+    """The dead time shared out, and pairs of equal lags or swinging poles."""
+    theta = math.exp(smaller.x[THETA])
+    found = []
+    for share in SHARES:
+        x = smaller.x.copy()
+        x[THETA] = math.log(theta * (1 - share))
+        found.append(_insert(smaller, type_, x, theta * share))
+    if type_ in LAG:
+        for ratio in SWING:
+            x = smaller.x.copy()
+            c2 = ratio * math.exp(x[LAG[type_]])
+            x[THETA] = math.log(max(theta - c2 / 2, theta / 10))
+            found.append(_insert(smaller, type_, x, c2))
+    return found
 
 
 def long_lag(integrating: Fit, type_: ProcessType) -> FloatArray:

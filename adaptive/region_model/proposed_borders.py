@@ -176,21 +176,20 @@ def proposed_borders(
     whole = len(places) == len(table.regions)
     ways = [_interpolated(table, places, factor, wanted) for factor in CALMER] if whole else []
     most = max(MS_END, _largest_ms(table, places))
-    ways = [way for way in (*_split(table, places, now, wide, wanted), *ways) if _largest_ms(way.table, places) <= most]
+    ways = [way for way in (*_split(table, places, now, wide, wanted), *ways) if _largest_ms(way[0], places) <= most]
     if not ways:
         return None
-    best = max(ways, key=lambda way: (sum(way.kept.values()), -_largest_ms(way.table, places)))
+    best, served = max(ways, key=lambda way: (sum(way[1].values()), -_largest_ms(way[0], places)))
     told = tuple(
-        _told(table, region, places[region], now[region].kept, best.kept[region])
+        _told(table, region, places[region], now[region].kept, served[region])
         for region in wide
-        if best.kept[region] - now[region].kept >= WORTH * len(places[region])
+        if served[region] - now[region].kept >= WORTH * len(places[region])
     )
-    count, kept, then = sum(map(len, places.values())), sum(one.kept for one in now.values()), sum(best.kept.values())
+    count, kept, then = sum(map(len, places.values())), sum(one.kept for one in now.values()), sum(served.values())
     if not told or then - kept < WORTH * PLACES:
         return None
-    peaks = (sensitivity_peak(p.processes[0], now[region].gains) for region, row in places.items() for p in row)
-    ms = max(peaks)
-    return Refinement(best.table, count, kept, then, ms, _largest_ms(best.table, places), wanted, told)
+    ms = max(sensitivity_peak(p.processes[0], now[region].gains) for region, row in places.items() for p in row)
+    return Refinement(best, count, kept, then, ms, _largest_ms(best, places), wanted, told)
 
 
 def _known_places(
@@ -228,31 +227,19 @@ def in_force(table: GainTable, x: float) -> PidGains:
     return table.at(choose(law, enter(law, x, 0.0), x, 0.0).region, x)
 
 
-@dataclass(frozen=True, slots=True)
-class _Cut:
-    """A boundary inside a region, and the sets below and above; a place on it counts on both sides by half."""
-
-    x: float
-    below: Best
-    above: Best
-
-
-def _best_border(row: Sequence[Place], limits: DesignLimits) -> _Cut:
-    """The boundary that serves most places of a region."""
+def _best_border(row: Sequence[Place], limits: DesignLimits) -> tuple[float, Best, Best]:
+    """The boundary that serves most places of a region, and the sets below and above; a place on it counts on both
+    sides by half.
+    """
     cuts = []
     for at in range(1, len(row) - 1):
         parts = (best_of(row[: at + 1], limits), best_of(row[at:], limits))
         below, above = (Best(part.gains, part.kept - _keeps(row[at], part.gains, limits) / 2) for part in parts)
-        cuts.append(_Cut(row[at].x, below, above))
-    return max(cuts, key=lambda cut: cut.below.kept + cut.above.kept)
+        cuts.append((row[at].x, below, above))
+    return max(cuts, key=lambda cut: cut[1].kept + cut[2].kept)
 
 
-@dataclass(frozen=True, slots=True)
-class _Way:
-    """A schedule, and how many places of each present region it is expected to serve."""
-
-    table: GainTable
-    kept: dict[int, float]
+Way = tuple[GainTable, dict[int, float]]  # a schedule, and how many places of each present region it should serve
 
 
 def _split(
@@ -261,7 +248,7 @@ def _split(
     now: Mapping[int, Best],
     wide: Sequence[int],
     limits: DesignLimits,
-) -> list[_Way]:
+) -> list[Way]:
     """The table with a boundary in the regions that are too wide, their sets the best on either side; the others keep
     theirs. Nothing where no boundary is worth it.
     """
@@ -270,28 +257,29 @@ def _split(
     sets: list[PidGains] = []
     kept = {region: best.kept for region, best in now.items()}
     for region, name in enumerate(table.regions.names):
-        bounds.append(table.regions.span(region)[0])
-        cut = _best_border(places[region], limits) if region in wide else None
-        more = cut.below.kept + cut.above.kept - now[region].kept if cut is not None else 0.0
-        low, high = table.regions.span(region)  # the boundary leaves the hysteresis its room on both sides
-        room = cut is not None and min(cut.x - low, high - cut.x) >= 2 * table.regions.axes[0].hysteresis
-        if cut is None or more < WORTH * len(places[region]) or not room:
-            names, sets = [*names, name], [*sets, table.gains_of(region)]
-            continue
-        names += [f"{name} lower", f"{name} upper"]
-        bounds, sets = [*bounds, cut.x], [*sets, cut.below.gains, cut.above.gains]
-        kept[region] += more
+        low, high = table.regions.span(region)
+        bounds.append(low)
+        if region in wide:
+            x, below, above = _best_border(places[region], limits)
+            more = below.kept + above.kept - now[region].kept
+            room = min(x - low, high - x) >= 2 * table.regions.axes[0].hysteresis  # on both sides of the boundary
+            if room and more >= WORTH * len(places[region]):
+                names += [f"{name} lower", f"{name} upper"]
+                bounds, sets = [*bounds, x], [*sets, below.gains, above.gains]
+                kept[region] += more
+                continue
+        names, sets = [*names, name], [*sets, table.gains_of(region)]
     if len(sets) == len(table.gains):
         return []
-    return [_Way(_table_of(table, tuple(names), tuple(bounds[1:]), tuple(sets), Lookup.HARD), kept)]
+    return [(_table_of(table, tuple(names), tuple(bounds[1:]), tuple(sets), Lookup.HARD), kept)]
 
 
-def _interpolated(table: GainTable, places: Mapping[int, Sequence[Place]], factor: float, limits: DesignLimits) -> _Way:
+def _interpolated(table: GainTable, places: Mapping[int, Sequence[Place]], factor: float, limits: DesignLimits) -> Way:
     """The table with its regions' centres as knots, and the sets of these, a little calmer or not."""
     own = [min(places[i], key=lambda p: abs(p.x - table.regions.centre(i))).own for i in range(len(table.regions))]
     sets = tuple(times(one, factor) for one in own)
     other = _table_of(table, table.regions.names, table.regions.bounds, sets, Lookup.INTERPOLATED)
-    return _Way(other, {i: sum(_keeps(p, other.at(i, p.x), limits) for p in row) for i, row in places.items()})
+    return other, {i: sum(_keeps(p, other.at(i, p.x), limits) for p in row) for i, row in places.items()}
 
 
 def _table_of(
