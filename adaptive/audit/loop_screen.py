@@ -182,11 +182,7 @@ def joined_screen(screens: Sequence[LoopScreen]) -> LoopScreen:
 def measure(samples: int, usual_s: float, co_noise: float) -> Measure:
     """What a record of so many samples is counted against."""
     shortest = max(STILL_STRETCH, min(STILL_LENGTH * samples, STILL_MOST))
-    return Measure(GAP * usual_s, NOISE_OF_CO * co_noise, float(shortest), _width(samples))
-
-
-def _width(samples: int) -> int:
-    return min(AVERAGED, max(samples // 8, 1))
+    return Measure(GAP * usual_s, NOISE_OF_CO * co_noise, float(shortest), min(AVERAGED, max(samples // 8, 1)))
 
 
 def in_parts(record: Window) -> Window:
@@ -226,7 +222,7 @@ def in_automatic(co: FloatArray, by: Measure, sums: RecordSums, limits: Sequence
 def _traits(record: Window, sums: RecordSums, noise: tuple[float, float], limits: Sequence[AtExtreme]) -> Traits:
     """What the condition of the whole record is told from; noise : of pv and of co."""
     n, spread = len(record.t_s), math.sqrt(sums.error_variance)
-    of_noise = NOISE_RATIO / math.sqrt(_width(n))
+    of_noise = NOISE_RATIO / math.sqrt(min(AVERAGED, max(n // 8, 1)))
     return Traits(
         dead_pv=sums.pv_high - sums.pv_low <= DEAD * max(abs(sums.pv_low), abs(sums.pv_high)),
         dead_co=sums.co_high - sums.co_low <= DEAD * max(abs(sums.co_low), abs(sums.co_high)),

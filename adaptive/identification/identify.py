@@ -173,16 +173,13 @@ def _fitted(
 ) -> list[Candidate]:  # fmt: skip
     window = Window.holding(content)
     found = candidates(window, signs, settings.choice, samples or settings.most_samples, barred_s)
-    most = None if samples else _samples_that_show(window, found[0], settings.most_samples)
-    return found if most is None else candidates(window, signs, settings.choice, most)
-
-
-def _samples_that_show(window: Window, best: Candidate, most_samples: int) -> int | None:
-    """Samples with which a row is at most half the dead time; None where the record was not condensed so far."""
-    n, dead_s = len(window.t_s), without_second_lag(model_at(best.fit.misfit.type, best.fit.x, 1)).theta_s
+    best, n = found[0].fit, len(window.t_s)
+    dead_s = without_second_lag(model_at(best.misfit.type, best.x, 1)).theta_s
     rows = max(int(dead_s / (ROWS_IN_DEAD_TIME * window.sample_time_s)), 1, -(-n // MOST_ROWS))
-    short = dead_s < ROWS_IN_DEAD_TIME * best.fit.misfit.record.sample_time_s
-    return -(-n // rows) if short and rows < -(-n // most_samples) else None
+    short = dead_s < ROWS_IN_DEAD_TIME * best.misfit.record.sample_time_s
+    if samples or not short or rows >= -(-n // settings.most_samples):
+        return found
+    return candidates(window, signs, settings.choice, -(-n // rows))  # with them a row is at most half the dead time
 
 
 class Fits:

@@ -198,7 +198,10 @@ def screen(
         record_condition.
     """
     limits = at_limits(window.co, co_min, co_max, window.sp - window.pv)
-    wave = _oscillation(window)
+    wave = regularity(window.sp - window.pv)
+    if wave is None or not wave.lasting:  # the oscillation of co then, if it has one
+        output = regularity(window.co)
+        wave = output if output is not None and (output.lasting or wave is None) else wave
     lasting = wave is not None and wave.lasting
     state = record_condition(window, limits.low + limits.high, oscillates=lasting, in_auto=in_auto)
     found: dict[str, float | None] = {
@@ -246,15 +249,6 @@ def _recording(window: Window, limits: AtLimits) -> dict[str, float | None]:
     if co is not None:
         found |= {"quantum_co": co.quantum, "repeated_co": co.repeated, "compression_co": co.compression}
     return found
-
-
-def _oscillation(window: Window) -> Regularity | None:
-    """The oscillation of the error, else that of co."""
-    error = regularity(window.sp - window.pv)
-    if error is not None and error.lasting:
-        return error
-    output = regularity(window.co)
-    return output if output is not None and (output.lasting or error is None) else error
 
 
 def _movement(window: Window, gains: PidGains | None, wave: Regularity | None) -> dict[str, float | None]:

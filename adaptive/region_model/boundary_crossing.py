@@ -142,8 +142,13 @@ def in_motion(
     lag = lagged.tau1_s + lagged.tau2_s
     centre = (math.log(abs(lagged.k) / lag), math.log(lagged.theta_s), math.log(lag))
     form = CurveForm(axis, (CurveShape.BENT,) * 3, centre, 1 if lagged.k > 0 else -1, _felt(stretch, curves))
+    # where load steps enter by the linear models, but for those beside the setpoint's step: curves explain them
+    near_s, changes = BESIDE * alone.log.model().theta_s, [stretch.signals.t_s[row] for row in stretch.signals.changes]
+    entered = [t for t in alone.load_times_s if all(abs(t - at_s) > near_s for at_s in changes)]
+    rows = np.searchsorted(stretch.t_s, entered) - 1
+    linear = tuple(sorted({int(row) for row in rows if 0 < row < len(stretch) - 2}))
     found = []
-    for loads in sorted({joint.loads[0], _rows(stretch, alone)}, key=len):
+    for loads in sorted({joint.loads[0], linear}, key=len):
         one = _fitted(replace(joint, loads=(loads,)), form)
         found += [one, _fitted(replace(joint, loads=(loads,)), *_with_second_lag(one))]
     best = [min((f for f in found if f.type is t), key=lambda f: f.evidence) for t in _STARTS]
@@ -158,15 +163,6 @@ def _felt(stretch: Stretch, curves: Sequence[CoCurve]) -> Characteristic | None:
     travel = found.axis.high - found.axis.low
     known = before(curves, travel)
     return replace(found, slope=known.slope, doubt=known.std * travel / (2 * SLOPE_STD))
-
-
-def _rows(stretch: Stretch, alone: ModelEstimate) -> tuple[int, ...]:
-    """Where load steps enter by the linear models, but for those beside the setpoint's step: curves explain them."""
-    model = alone.log.model()
-    changes = [stretch.signals.t_s[row] for row in stretch.signals.changes]
-    loads = [t for t in alone.load_times_s if all(abs(t - at_s) > BESIDE * model.theta_s for at_s in changes)]
-    rows = np.searchsorted(stretch.t_s, loads) - 1
-    return tuple(sorted({int(row) for row in rows if 0 < row < len(stretch) - 2}))
 
 
 _STARTS = (ProcessType.FOPDT, ProcessType.SOPDT)
