@@ -12,6 +12,7 @@ bent is sure, and wrong at both ends and the middle): so it is that of all of th
 
 import math
 from collections.abc import Sequence
+from itertools import product
 
 import numpy as np
 
@@ -81,20 +82,13 @@ def _ranked(
             top = max(top, ranked[shapes])
         best = max(waiting, key=ranked.__getitem__)
         near = [s for s in waiting if ranked[s] >= top - FOLLOWED or s is best]
-        fresh = {other for s in near for other in _neighbours(s, allowed)} - ranked.keys()
-        waiting = sorted(fresh)
-    return ranked
-
-
-def _neighbours(shapes: tuple[CurveShape, ...], allowed: tuple[CurveShape, ...]) -> list[tuple[CurveShape, ...]]:
-    """The shapes with one of them a step simpler or richer."""
-    found = []
-    for i, shape in enumerate(shapes):
-        for step in (-1, 1):
-            place = SHAPES.index(shape) + step
+        fresh: set[tuple[CurveShape, ...]] = set()
+        for shapes, i, step in product(near, range(len(most)), (-1, 1)):  # one of them a step simpler or richer
+            place = SHAPES.index(shapes[i]) + step
             if 0 <= place < len(SHAPES) and SHAPES[place] <= allowed[i]:
-                found.append((*shapes[:i], SHAPES[place], *shapes[i + 1 :]))
-    return found
+                fresh.add((*shapes[:i], SHAPES[place], *shapes[i + 1 :]))
+        waiting = sorted(fresh - ranked.keys())
+    return ranked
 
 
 def _kept(form: CurveForm, shapes: Sequence[CurveShape]) -> list[int]:
