@@ -246,7 +246,14 @@ def commands(found: Examination) -> None:
     stale = talk.ack(wire.Setpoint(older, sp, talk.owner))
     got = None if stale is None else (wire.Reason(stale.reason), stale.latest)
     found.expect("SETPOINT with an older counter", got, (wire.Reason.STALE, newer))
-    _modes(found)
+    # Manual holds co where it is
+    found.expect("MODE manual", manual(talk), wire.Reason.OK)
+    _, co = talk.newest()
+    told = halves(talk.samples(2))
+    found.expect("mode in telemetry", {h.mode for h in told[-4:] if isinstance(h, wire.TelemetrySp)}, {LoopMode.MANUAL})
+    held = max(abs(h.co - co) for h in told[-4:] if isinstance(h, wire.TelemetryPv))
+    found.holds(f"co moved by {held:g} % in manual", held < 0.01)
+    found.answers("MODE auto", wire.Reason.OK, wire.Mode(talk.counter(), 1, 0.0, talk.owner))
 
 
 def setpoint(talk: Conversation, sp: float) -> bool:
@@ -267,14 +274,3 @@ def _took(talk: Conversation, command: Callable[[], wire.Frame]) -> wire.Reason 
         talk.counter((answer.latest - talk.counter(0)) % 256)
         answer = talk.ack(command())
     return None if answer is None else wire.Reason(answer.reason)
-
-
-def _modes(found: Examination) -> None:
-    talk = found.talk
-    found.expect("MODE manual", manual(talk), wire.Reason.OK)
-    _, co = talk.newest()
-    told = halves(talk.samples(2))
-    found.expect("mode in telemetry", {h.mode for h in told[-4:] if isinstance(h, wire.TelemetrySp)}, {LoopMode.MANUAL})
-    held = max(abs(h.co - co) for h in told[-4:] if isinstance(h, wire.TelemetryPv))
-    found.holds(f"co moved by {held:g} % in manual", held < 0.01)
-    found.answers("MODE auto", wire.Reason.OK, wire.Mode(talk.counter(), 1, 0.0, talk.owner))

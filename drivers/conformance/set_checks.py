@@ -56,38 +56,28 @@ def committing(found: Examination) -> None:
     found.runs("after a good COMMIT", gains)
     found.other = talk.known.gains
     found.expect("number of the active gains", talk.known.seq, seq)
-    _one_sample(found, frames, seq)
+    # The acknowledge comes in the sample that runs the set, before its telemetry
+    at = next((i for i, f in enumerate(frames) if isinstance(f, wire.Ack) and f.kind == wire.Kind.COMMIT), None)
+    if at is not None:
+        tag = seq % wire.RUNNING_TAG
+        earlier = [f.running for f in frames[:at] if isinstance(f, wire.TelemetrySp)]
+        later = [f.running for f in frames[at:] if isinstance(f, wire.TelemetrySp)]
+        found.holds("telemetry shows the new set before its acknowledge", tag not in earlier)
+        found.expect("running number in the telemetry after the acknowledge", set(later), {tag})
     if next((f for f in frames if isinstance(f, wire.TelemetrySp)), None) is not None and talk.known.seq == seq:
         found.holds(
             "a COMMIT with another crc under the running number is accepted",
             talk.reason(wire.Commit(seq, (seq - 1) % 65536, 1)) is not wire.Reason.OK,
         )
-    _bumpless(found)
-
-
-def _one_sample(found: Examination, frames: list[wire.Frame], seq: int) -> None:
-    """The acknowledge comes in the sample that runs the set, before its telemetry."""
-    at = next((i for i, f in enumerate(frames) if isinstance(f, wire.Ack) and f.kind == wire.Kind.COMMIT), None)
-    if at is None:
-        return
-    tag = seq % wire.RUNNING_TAG
-    before = [f.running for f in frames[:at] if isinstance(f, wire.TelemetrySp)]
-    after = [f.running for f in frames[at:] if isinstance(f, wire.TelemetrySp)]
-    found.holds("telemetry shows the new set before its acknowledge", tag not in before)
-    found.expect("running number in the telemetry after the acknowledge", set(after), {tag})
-
-
-def _bumpless(found: Examination) -> None:
-    """co stays exactly as it is in manual; the repeated commit gets the same answer."""
-    talk = found.talk
+    # In manual co stays exactly as it is; the repeated commit gets the same answer
     manual(talk)
     talk.samples()
-    _, before = talk.newest()
+    _, held = talk.newest()
     seq = talk.fresh_seq()
     commit = talk.commit(seq, found.first)
     talk.say(*talk.stage(seq, found.first), *talk.codes(seq, found.first), commit)
     talk.samples()
-    moved = abs(talk.newest()[1] - before)
+    moved = abs(talk.newest()[1] - held)
     found.holds(f"co jumped by {moved:g} % when the gains were changed in manual", moved < 0.01)
     found.answers("the same COMMIT again", wire.Reason.OK, commit)
     talk.say(wire.Mode(talk.counter(), LoopMode.AUTO, 0.0, talk.owner))

@@ -196,7 +196,12 @@ def _stamps(
         )
     _refuse_repeated(table, place)
     if "t" not in form.columns:
-        _refuse_other_clocks(table, times)
+        several = len({named(table.names[place]).tag for place in times}) > 1
+        clocks = [[str(field).strip() for field in table.columns[place]] for place in times] if several else []
+        if any(clock != clocks[0] for clock in clocks):
+            names = ", ".join(table.names[place] for place in times[:3])
+            why = f"each signal has times of its own ({names}); give a file for each signal, as FIC101.PV.csv"
+            raise RecordingError(f"{table.source}: {why}")
     column = table.columns[place]
     if isinstance(column, np.ndarray) and column.dtype.kind == "M":
         return Stamps(_seconds(column))
@@ -220,18 +225,6 @@ def _seconds(moments: npt.NDArray[Any]) -> FloatArray:
     t_s: FloatArray = moments.view(np.int64) / (TICKS[unit] / many)
     missing = np.isnat(moments)
     return np.where(missing, np.nan, t_s) if missing.any() else t_s
-
-
-def _refuse_other_clocks(table: RawTable, times: Sequence[int]) -> None:
-    """Refuse times of several tags that differ between the rows: each signal has a clock of its own there."""
-    if len({named(table.names[place]).tag for place in times}) < 2:
-        return
-    first, *others = [[str(field).strip() for field in table.columns[place]] for place in times]
-    if any(other != first for other in others):
-        names = ", ".join(table.names[place] for place in times[:3])
-        raise RecordingError(
-            f"{table.source}: each signal has times of its own ({names}); give a file for each signal, as FIC101.PV.csv"
-        )
 
 
 def _written_out(fields: Sequence[str]) -> bool:

@@ -313,7 +313,14 @@ def _followed(
     if open_loop or setpoint_changes(window):  # a load whose time is not known bounds no dead time
         estimate = bounded(window, estimate, FitSettings())
     if estimate.identifiable and not open_loop:
-        estimate = _unless_one_tone(window, _unless_pv_stands(window, gains, estimate))
+        estimate = _unless_pv_stands(window, gains, estimate)
+        period_s = one_tone(window)
+        if period_s is not None:
+            reason = (
+                f"all that moves pv is an oscillation of {period_s:.3g} s while the setpoint stands: "
+                "it shows the controller, not the process; make a setpoint step"
+            )
+            estimate = replace(estimate, identifiable=False, reason=reason)
     if not estimate.identifiable:
         return Identification(estimate, None, None)
     found = robust_simc(estimate, window.sample_time_s, RobustSettings(), gains)
@@ -344,18 +351,6 @@ def _unless_pv_stands(window: Window, gains: PidGains | None, estimate: ModelEst
     if found.lead_of(estimate.residual_std**2, len(estimate.load_times_s)) > settings.likelier:
         return estimate
     return replace(estimate, identifiable=False, reason=pv_stands_verdict(found, {}).reason)
-
-
-def _unless_one_tone(window: Window, estimate: ModelEstimate) -> ModelEstimate:
-    """The estimate, unless all that moves pv is a tone while the setpoint stands: that shows the controller alone."""
-    period_s = one_tone(window)
-    if period_s is None:
-        return estimate
-    reason = (
-        f"all that moves pv is an oscillation of {period_s:.3g} s while the setpoint stands: it shows the controller, "
-        "not the process; make a setpoint step"
-    )
-    return replace(estimate, identifiable=False, reason=reason)
 
 
 def _no_farther(found: Identification, window: Window, gains: PidGains) -> Identification:

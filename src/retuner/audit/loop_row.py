@@ -126,8 +126,26 @@ def _row(tag: str, read: Iterator[LoopRecord], settings: AuditSettings, *, commo
         harmonics = (part.found.diagnosis.evidence.get("third_harmonic", 0.0) for part in seen.parts)
         own = [part for part in seen.parts if part.found is cure]
         able = own or sorted(seen.parts, key=lambda part: -part.verdict.confidence)
+        begin_s, since = seen.begin_s, verdict.since_s
+        named = verdict.cause != Cause.UNKNOWN
+        avoidable = verdict.avoidable if named or 0 < verdict.avoidable < 1 else None
         return {
-            **_told(tag, seen, screen, verdict),
+            "schema": SCHEMA,
+            "tag": tag,
+            "records": len(seen.screens),
+            "begin": _moment(begin_s, 0.0),
+            "end": _moment(begin_s, seen.end_s),
+            "cause": str(verdict.cause),
+            "confidence": verdict.confidence if named or verdict.confidence > HALF else None,
+            **plain_values(verdict, "action reason"),
+            "since": _moment(begin_s, since) if since is not None else None,
+            "since_s": since,
+            **plain_values(verdict, "seen looked_at"),
+            "avoidable": avoidable,
+            **plain_values(verdict, "rank basis"),
+            "loss_per_day": avoidable * screen.iae_per_day if avoidable is not None and screen.setpoint else None,
+            "screen": screen.to_dict(),
+            "assumed": list(seen.assumed),
             "asks": asks(screen),
             "harmonic": max(harmonics, default=0.0),
             "sticks": sum(p.verdict.confidence for p in seen.parts if p.verdict.cause == Cause.STICTION)
@@ -248,30 +266,6 @@ def _one_trend(trends: Sequence[tuple[float, Trend]]) -> Trend:
     times = np.concatenate([np.array(trend["t_s"]) + later_s for later_s, trend in ordered])
     values = {name: np.concatenate([trend[name] for _, trend in ordered]) for name in ("sp", "pv", "co")}
     return _thinned(times, values, DRAWN)
-
-
-def _told(tag: str, seen: _LoopRecords, screen: LoopScreen, verdict: LoopVerdict) -> Row:
-    begin_s, since = seen.begin_s, verdict.since_s
-    named = verdict.cause != Cause.UNKNOWN
-    avoidable = verdict.avoidable if named or 0 < verdict.avoidable < 1 else None
-    return {
-        "schema": SCHEMA,
-        "tag": tag,
-        "records": len(seen.screens),
-        "begin": _moment(begin_s, 0.0),
-        "end": _moment(begin_s, seen.end_s),
-        "cause": str(verdict.cause),
-        "confidence": verdict.confidence if named or verdict.confidence > HALF else None,
-        **plain_values(verdict, "action reason"),
-        "since": _moment(begin_s, since) if since is not None else None,
-        "since_s": since,
-        **plain_values(verdict, "seen looked_at"),
-        "avoidable": avoidable,
-        **plain_values(verdict, "rank basis"),
-        "loss_per_day": avoidable * screen.iae_per_day if avoidable is not None and screen.setpoint else None,
-        "screen": screen.to_dict(),
-        "assumed": list(seen.assumed),
-    }
 
 
 def _moment(begin_s: float | None, after_s: float) -> str | None:

@@ -136,18 +136,16 @@ class Helm:
                     self._device.send_setpoint(wanted.sp, now_s)
                     self._sp, self._sp_s = wanted.sp, now_s
             if insist:
-                self._steer_gains(wanted, now_s)
+                running = self._device.running
+                able = self._device.connected and not self._device.writing and now_s >= self._write_s
+                if wanted.gains is None or running is None or not able:
+                    return ""
+                if change_factor(running.gains, wanted.gains) > SAME_GAINS:
+                    self._write_s = now_s + self._again_s
+                    self._device.begin_write(wanted.gains, now_s)
         except WriteRefusedError as refused:
             return str(refused)
         return ""
-
-    def _steer_gains(self, wanted: Target, now_s: float) -> None:
-        running = self._device.running
-        if wanted.gains is None or running is None or self._device.writing or not self._device.connected:
-            return
-        if change_factor(running.gains, wanted.gains) > SAME_GAINS and now_s >= self._write_s:
-            self._write_s = now_s + self._again_s
-            self._device.begin_write(wanted.gains, now_s)
 
 
 # What an experiment on demand does unless it is told otherwise.

@@ -71,8 +71,10 @@ def connect(path: Path, mode: str) -> sqlite3.Connection:
         connection.execute(f"PRAGMA synchronous = {FULL}")
         if _pragma(connection, "synchronous") != FULL:
             raise sqlite3.OperationalError("it does not take synchronous = FULL, without which a power cut loses rows")
-        if mode == "rwc":
-            _create(connection)
+        if mode == "rwc" and _pragma(connection, "schema_version") == 0:
+            connection.execute("PRAGMA journal_mode = WAL").fetchone()  # an error of the disk comes with the row
+            marks = f"PRAGMA application_id = {APPLICATION_ID}; PRAGMA user_version = {VERSION};"
+            connection.executescript(f"BEGIN IMMEDIATE; {marks} {TABLES} COMMIT;")
         _check_version(connection, path)
     except (*READING_ERRORS, LedgerError) as error:
         if connection is not None:
@@ -94,15 +96,6 @@ def _pragma(connection: sqlite3.Connection, name: str) -> int:
     if row is None:
         raise sqlite3.DatabaseError("its head cannot be read")
     return row[0]
-
-
-def _create(connection: sqlite3.Connection) -> None:
-    """Lay the tables into an empty file, all or nothing; a file that has content already stays as it is."""
-    if _pragma(connection, "schema_version") != 0:
-        return
-    connection.execute("PRAGMA journal_mode = WAL").fetchone()  # an error of the disk comes with the row
-    marks = f"PRAGMA application_id = {APPLICATION_ID}; PRAGMA user_version = {VERSION};"
-    connection.executescript(f"BEGIN IMMEDIATE; {marks} {TABLES} COMMIT;")
 
 
 def _check_version(connection: sqlite3.Connection, path: Path) -> None:

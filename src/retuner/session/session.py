@@ -138,7 +138,12 @@ class Session:
             try:
                 samples += loop.poll(now_s)
             except DeviceError as error:
-                self._leave_out(loop, error)
+                if len(self._watched) == 1:
+                    raise
+                self._watched.remove(loop)
+                self.absent[loop.name] = str(error)
+                loop.tell_absent(str(error))
+                self._say(f"{loop.name}: {error}; the other loops go on without it")
             if loop.finished and len(self.loops) > 1:
                 loop.device.release(now_s)
         return samples
@@ -169,11 +174,3 @@ class Session:
         """Let other hosts command at once: for the end of the session."""
         for loop in self._watched:
             loop.device.release(now_s)
-
-    def _leave_out(self, loop: LoopSession, error: DeviceError) -> None:
-        if len(self._watched) == 1:
-            raise error
-        self._watched.remove(loop)
-        self.absent[loop.name] = str(error)
-        loop.tell_absent(str(error))
-        self._say(f"{loop.name}: {error}; the other loops go on without it")
