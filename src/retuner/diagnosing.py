@@ -175,7 +175,12 @@ def diagnose_windows(
     windows = [within(window, co_min, co_max) for window in windows]
     direction = rough = None
     if gains is None:
-        gains, rough, direction = _settings_shown(windows, co_min, co_max)
+        # gains that the newest record shows, else rough ones, and the direction of the controller
+        each = [settings_in_force(window, co_min, co_max) for window in reversed(windows)]
+        gains = next((one.gains for one in each if one.gains is not None), None)
+        rough = next((one.rough for one in each if one.rough is not None), None) if gains is None else None
+        signs = [one.direction for one in each if one.direction is not None]
+        direction = (1 if sum(signs) > 0 else -1) if signs else None
     told = diagnose_records(windows, gains, co_min, co_max, direction=direction, rough=rough)
     found, worth = told.found, told.settings
     fits = {name: c.fit.at.explained for name, c in found.fits.items()}
@@ -227,14 +232,3 @@ def with_gain(told: Diagnosis, saved: Foreseen | None) -> Diagnosis:
     band = " only: nothing is due" if little else f" ({100.0 * saved.least:.0f} to {100.0 * saved.most:.0f} %)"
     reason = f"{told.reason}; {which} take away {100.0 * saved.saved:.0f} % of the error{band}"
     return replace(told, reason=reason, settled=told.settled and not little)
-
-
-def _settings_shown(
-    windows: Sequence[Window], co_min: float | None, co_max: float | None
-) -> tuple[PidGains | None, PidGains | None, int | None]:
-    """Gains that the newest record shows, else rough ones, and the direction of the controller; None for not known."""
-    each = [settings_in_force(window, co_min, co_max) for window in reversed(windows)]
-    gains = next((one.gains for one in each if one.gains is not None), None)
-    rough = next((one.rough for one in each if one.rough is not None), None) if gains is None else None
-    signs = [one.direction for one in each if one.direction is not None]
-    return gains, rough, (1 if sum(signs) > 0 else -1) if signs else None

@@ -7,7 +7,7 @@ from retuner.adaptive.loop.margins import Margins, margins
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.region_model.update import Agreement
 from retuner.decision_page.decision_view import DecisionView
-from retuner.decision_page.decision_words import part_words, process_text, settings_text, stays
+from retuner.decision_page.decision_words import ms_words, part_words, process_text, settings_text, stays
 from retuner.decision_page.row_values import number, part, parts, words
 from retuner.decision_page.shown_units import units_of
 from retuner.schedule.gains import PidGains
@@ -208,4 +208,4 @@ def new_name(view: DecisionView) -> str:
 
 def ms_text(ms: float | None) -> str:
     """Ms as people read it."""
-    return "-" if ms is None else "unstable" if ms == float("inf") else f"{ms:.2f}"
+    return "-" if ms is None else ms_words(ms)

@@ -183,18 +183,15 @@ class OnDemandExperiment:
             self._screen.say(f"not to be written: {forbidden}")
             outcome.written = forbidden
         elif runner.cause is None and usable and self._confirmed():
-            end, before = self._outcome, self._runner.before
-            assert end.found is not None
-            assert end.found.chosen is not None
-            assert before is not None
+            assert outcome.found is not None
+            assert outcome.found.chosen is not None
+            assert runner.before is not None
             writer = SettingsWriter(self._bench, self._config.loop.sample_time_s, self._to_ledger)
-            end.written = writer.write(end.found.chosen.tuning.gains, before.gains)
-            if end.written:
-                self._screen.say(f"NOT written: {end.written}")
-            else:
-                self._screen.say("written, read back and running; put them into the configuration to keep them")
+            outcome.written = writer.write(outcome.found.chosen.tuning.gains, runner.before.gains)
+            done = "written, read back and running; put them into the configuration to keep them"
+            self._screen.say(f"NOT written: {outcome.written}" if outcome.written else done)
             with unstoppable():
-                end.leave()
+                outcome.leave()
         if self._as_json:
             sys.stdout.write(json.dumps(outcome.to_dict(), indent=2, allow_nan=False) + "\n")
         if runner.lost_ledger is not None:

@@ -90,11 +90,11 @@ def described(found: Identification) -> list[str]:
     damped = [f"  {'zeta':<6} {model.zeta:10.4g}"] if model.zeta < 1 else []
     lines = [
         "identified" if estimate.identifiable else "NOT identifiable: " + estimate.reason,
-        *[f"  {'type':<6} {model.type:>10}"]
-        + [
+        f"  {'type':<6} {model.type:>10}",
+        *(
             f"  {name:<6} {value:10.4g} +- {std[name]:.2g}{' s' if name != 'k' else ''}"
             for name, value in {"k": model.k, **model.times_s, "theta": model.theta_s}.items()
-        ],
+        ),
         *damped,
     ]
     if estimate.identifiable:
