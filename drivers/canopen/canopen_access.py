@@ -126,7 +126,6 @@ class CanOpenAccess:
             raise ProfileError(f"object {text_of(place.variable)}: {error}", key) from None
 
     def _by_pdo(self) -> Iterable[tuple[int, list[tuple[str, PdoEntry]]]]:
-        """Which of the numbers come by which PDO."""
         wanted: dict[tuple[int, int], list[str]] = {}
         for name, place in self._read.items():
             if name not in self.units.names:

@@ -89,7 +89,6 @@ def tables_of_parquet(
 
 
 def _loops(names: Sequence[str], form: RecordForm) -> dict[str, dict[str, list[int]]]:
-    """Columns by loop and role, as the form calls them."""
     return loops([form.called(name) for name in names])
 
 

@@ -137,7 +137,6 @@ def _other_zone(text: str) -> str:
 
 
 def _of_usual_forms(texts: list[str], form: RecordForm, source: str, begins: Sequence[int]) -> Stamps:
-    """The usual form that fits all rows."""
     fitting: dict[str, FloatArray] = {}
     for date in DATES:
         if not _fits_sample(texts, date):
@@ -220,7 +219,6 @@ class _UnfitError(ValueError):
 
 
 def _fits_sample(texts: Sequence[str], date: str) -> bool:
-    """Whether a form fits some rows all over the record."""
     reader = _reader(date)
     rows = [text for text in texts if text]
     try:

@@ -446,7 +446,6 @@ class CanDevice:
         self._send_due(now_s)
 
     def _command(self, put: Callable[[], None], now_s: float) -> None:
-        """Check a command, then send it until it is answered."""
         try:
             put()
         except FrameError as error:

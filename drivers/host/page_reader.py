@@ -72,7 +72,6 @@ class PageReader:
         return question is not None and challenge.token == question.token % wire.CHALLENGE_TAG
 
     def _whole(self, question: _Question) -> ReadBack | None:
-        """The page if all parts are here and belong together."""
         end = question.ends[0]
         if not end.complete:
             del self._asked[end.page]

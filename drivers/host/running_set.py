@@ -160,7 +160,6 @@ class RunningBelief:
         return page.gains is not None and page.fits(set_crc(self._node, epoch, page.seq, page.gains))
 
     def _believe(self, page: ReadBack, verdict: Belief) -> Belief:
-        """Make it the known set."""
         if page.gains is None or self.epoch is None:
             return Belief.NOTHING
         crc = set_crc(self._node, self.epoch, page.seq, page.gains)

@@ -114,7 +114,6 @@ class FmuModel:
         return names
 
     def _place(self, name: str, key: str) -> Any:  # noqa: ANN401  FMPy's variable
-        """The variable of a name, a real number."""
         if name not in self._known:
             fitting = [one.name for one in self._about.modelVariables if one.causality in {key, "local"}]
             raise PlantFaultError(missing_name("variable of the FMU", name, fitting or self._known), key)
@@ -128,7 +127,6 @@ class FmuModel:
         return found
 
     def _initialise(self) -> None:
-        """Parameters and start values, inputs, initial equations."""
         unit, is_2 = self._unit, self._about.fmiVersion == "2.0"
         if is_2:
             unit.setupExperiment(startTime=0.0)

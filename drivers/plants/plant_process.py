@@ -107,7 +107,6 @@ class ModelInProcess:
         return body
 
     def _how_it_ended(self) -> str:
-        """What became of the process, in words."""
         try:
             code = self._process.wait(ENDS_S)
         except subprocess.TimeoutExpired:

@@ -383,7 +383,6 @@ class ForeignDevice:
         )
 
     def _first_numbers(self) -> Numbers:
-        """The configured set in the controller's units."""
         try:
             return self._access.units.numbers(self.settings.gains)
         except ValueError as error:
@@ -454,7 +453,6 @@ class ForeignDevice:
         self._conclude()
 
     def _conclude(self) -> None:
-        """Tell the end of a write, if it has come."""
         outcome, self._course.outcome = self._course.outcome, None
         if outcome is None:
             return

@@ -346,7 +346,6 @@ def _thinned(t_s: FloatArray, signals: Mapping[str, FloatArray], points: int) ->
 
 
 def _short(values: FloatArray, digits: int = 6) -> list[float]:
-    """Values with as many digits as a picture shows."""
     size = np.abs(values)
     places = digits - 1 - np.floor(np.log10(size, out=np.zeros(len(size)), where=size > 0)).astype(int)
     up, down = 10.0 ** np.maximum(places, 0), 10.0 ** np.maximum(-places, 0)

@@ -222,7 +222,6 @@ def revert(options: RevertOptions) -> int:
 
 
 def _unlock(place: LoopPlace, region: str, options: ApproveOptions) -> int:
-    """Order that a locked-out region may change again."""
     names = [one.name for one in place.config.schedule.regions]
     if options.digest is not None:
         raise UserError("--unlock: names a region; a hash is approved without it")

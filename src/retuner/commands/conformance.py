@@ -103,8 +103,6 @@ def _the_node(heard: list[int], place: str) -> int:
 
 
 def _power_cycle(wait_until: Callable[[float], None], now_s: Callable[[], float]) -> Callable[[], bool]:
-    """Ask the person, and wait for a word on stdin."""
-
     def asked() -> bool:
         sys.stderr.write("switch the device off and on, then press Enter\n")
         sys.stderr.flush()

@@ -492,7 +492,6 @@ def _tables(settings: Mapping[str, object], header: str) -> str:
 
 
 def _toml(value: object) -> str:
-    """A JSON value as TOML has it, on one line."""
     if isinstance(value, dict):
         return "{ " + ", ".join(f"{key} = {_toml(inner)}" for key, inner in value.items()) + " }"
     if isinstance(value, list):

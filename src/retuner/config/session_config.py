@@ -80,7 +80,6 @@ class SessionConfig:
 
 
 def _between(earlier: Config, later: Config) -> Iterator[Problem]:
-    """What is wrong between two loops of a session."""
     name, bus, other = later.loop.name, later.bus, earlier.bus
     if folder_name(name).lower() == folder_name(earlier.loop.name).lower():
         yield Problem(("loop", "name"), f'= "{name}" names the files of "{earlier.loop.name}", too; give another name')
@@ -149,5 +148,4 @@ def written_at(path: Path, loop: int, lines: Mapping[Path, int]) -> Path:
 
 
 def _depth(path: Path, lines: Mapping[Path, int]) -> int:
-    """How much of a path is written in the file."""
     return max(n for n in range(len(path) + 1) if path[:n] in lines)

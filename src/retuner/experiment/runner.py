@@ -325,7 +325,6 @@ class ExperimentRunner:
             self._move(Happening.AT_REST)
 
     def _wait_for_control(self, sample: LoopSample) -> None:
-        """Until the controller is as the experiment needs it."""
         if self._helm.shows(self._target(), sample):
             self._move(Happening.PREPARED)
         elif self._now_s - self._phase_s > self._patience_s:
@@ -361,7 +360,6 @@ class ExperimentRunner:
             self._move(Happening.PARKED)
 
     def _verify(self, sample: LoopSample) -> None:
-        """Count samples that show the old state."""
         self._shown = self._shown + 1 if self._helm.shows(self._target(), sample) else 0
         if self._shown >= VERIFY_SAMPLES:
             self._move(Happening.VERIFIED)

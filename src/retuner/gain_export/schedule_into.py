@@ -142,7 +142,6 @@ def _replaced(text: str, loop: int | None, table: GainTable, note: str) -> Writt
 
 
 def _rest(text: str, loop: int | None) -> dict[str, Any]:
-    """What a text says beside the section."""
     document = tomllib.loads(text)
     (document if loop is None else document["loop"][loop]).pop("schedule", None)
     return document

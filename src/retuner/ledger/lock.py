@@ -47,7 +47,6 @@ def _nothing() -> None:
 if sys.platform == "win32":
 
     def _take(lock: Path) -> Callable[[], None]:
-        """SQLite's exclusive lock; what lets go of it."""
         connection = sqlite3.connect(lock, isolation_level=None, timeout=0)
         try:
             connection.execute("BEGIN EXCLUSIVE")

@@ -98,7 +98,6 @@ class Publisher:
             self._writer = None
 
     def _give_up(self, why: str) -> None:
-        """Watching from outside ends; the session goes on."""
         self.close()
         self._say(f"{self._path}: {why}; the session continues, but cannot be watched from outside")
 

@@ -103,20 +103,15 @@ class PageAnswers:
             looking.cancel()
 
     def _file(self, name: str, kind: str) -> Callable[[Request], Response]:
-        """An answer that is one of our files, read once."""
         return self._text(files("retuner.serve").joinpath("static").joinpath(name).read_bytes(), kind)
 
     def _text(self, content: str | bytes, kind: str) -> Callable[[Request], Response]:
-        """An answer that is always the same."""
-
         def answer(_: Request) -> Response:
             return Response(content, headers={"content-type": kind})
 
         return answer
 
     def _told(self, document: Callable[[Request], object]) -> Callable[[Request], object]:
-        """An answer that is a JSON document."""
-
         async def answer(request: Request) -> Response:
             return JSONResponse(document(request))
 

@@ -143,7 +143,6 @@ class RecordedRuns:
             session.close()
 
     def _folders(self) -> list[Path]:
-        """Folders with a ledger, the newest first."""
         if (self.root / LEDGER).is_file():
             return [self.root]
         with contextlib.suppress(OSError):

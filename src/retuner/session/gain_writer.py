@@ -425,7 +425,6 @@ class GainWriter:
             self.retuner.not_written(wanted.region)
 
     def _in_table(self) -> PidGains | None:
-        """What the table says should run here and now."""
         region, retuner = self.retuner.region, self.retuner
         return None if region is None else retuner.settings.rounded(retuner.table.at(region, *retuner.scheduled))
 

@@ -267,7 +267,6 @@ class LoopSession:
 
     @property
     def _bumped(self) -> bool:
-        """Whether the setpoint may stand where a bump has put it."""
         return self.bumps is not None and self.bumps.planner.out
 
     def _observe(self, sample: LoopSample) -> Decision | None:

@@ -128,7 +128,6 @@ def _tell(rows: Sequence[Row], found: Catalogue, options: AuditOptions) -> None:
 
 
 def _names_told(found: Catalogue) -> str:
-    """How names were joined to loops, by its first."""
     tag, roles = next(((tag, roles) for tag, roles in found.signals.items() if tag), ("", {}))
     apart = [task for task in found.tasks if task.separate]
     files = sum(len(task.files) for task in apart)
