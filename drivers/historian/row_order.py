@@ -63,8 +63,7 @@ def _displaced(t_s: FloatArray) -> int:
 
     One step back may be a late row; it is a second record where many rows after it are early.
     """
-    late = np.sum(t_s < np.maximum.accumulate(t_s))
-    return int(min(late, np.sum(t_s > np.minimum.accumulate(t_s[::-1])[::-1])))
+    return int(min(np.sum(t_s < np.maximum.accumulate(t_s)), np.sum(t_s > np.minimum.accumulate(t_s[::-1])[::-1])))
 
 
 def _distinct(places: np.ndarray, stamps: FloatArray) -> tuple[np.ndarray, FloatArray, list[Assumption]]:

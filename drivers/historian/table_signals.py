@@ -68,8 +68,7 @@ def signals_of(table: RawTable, form: RecordForm, *, in_automatic: bool = False)
     found = loops(table.names)
     plain = found.get("", {})
     told = list(table.assumed)
-    named_so = {"tag", "value"} <= {*plain, *form.columns}
-    if named_so and not any({"pv", "co"} & roles.keys() for roles in found.values()):
+    if {"tag", "value"} <= {*plain, *form.columns} and not any({"pv", "co"} & roles.keys() for roles in found.values()):
         return _long(table, plain, form, told)
     wanted = _signal_places(table, found, form)
     if not any(wanted.values()):

@@ -242,11 +242,10 @@ class Replay:
 
 def verdict_of(decision: Mapping[str, Any]) -> dict[str, object]:
     """What a decision comes to: what is done where, for which cause, and with which gains, to three digits."""
-    gains = decision.get("gains_after") or {}
     return {
         **{name: decision.get(name) for name in ("number", "t_s", "region", "action", "code", "basis")},
         "cause": (decision.get("diagnosis") or {}).get("cause"),
-        "gains_after": {name: f"{value:.3g}" for name, value in gains.items()},
+        "gains_after": {name: f"{value:.3g}" for name, value in (decision.get("gains_after") or {}).items()},
     }
 
 

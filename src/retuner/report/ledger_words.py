@@ -174,9 +174,8 @@ def _decision(body: Document) -> Words:
     own = stays(body) or f"{done}: " in reason or reason.startswith((done, *OWN_WORDS))
     said = reason if own else f"{done}: {reason}"
     said += f"; in place of {older}" if older else ""
-    title = f"decision {int(number(body, 'number') or 0)}{f' on {concerns}' if concerns else ''}, {said}"
     return Words(
-        title,
+        f"decision {int(number(body, 'number') or 0)}{f' on {concerns}' if concerns else ''}, {said}",
         "" if stays(body) else _settings(body, "gains_before"),
         _settings(body, "gains_after") if action != "none" else "",
         " | ".join(text for text in (response_text(body), explanation_text(body), knowledge_text(body)) if text),

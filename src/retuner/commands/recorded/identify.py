@@ -87,7 +87,6 @@ def described(found: Identification) -> list[str]:
     estimate = found.estimate
     # the model with its standard deviations
     model, std = found.estimate.log.model(), found.estimate.log.std()
-    damped = [f"  {'zeta':<6} {model.zeta:10.4g}"] if model.zeta < 1 else []
     lines = [
         "identified" if estimate.identifiable else "NOT identifiable: " + estimate.reason,
         f"  {'type':<6} {model.type:>10}",
@@ -95,7 +94,7 @@ def described(found: Identification) -> list[str]:
             f"  {name:<6} {value:10.4g} +- {std[name]:.2g}{' s' if name != 'k' else ''}"
             for name, value in {"k": model.k, **model.times_s, "theta": model.theta_s}.items()
         ),
-        *damped,
+        *([f"  {'zeta':<6} {model.zeta:10.4g}"] if model.zeta < 1 else []),
     ]
     if estimate.identifiable:
         lines.append(f"  {estimate.reason}; residual {estimate.residual_std:.3g}, noise {estimate.noise_std:.3g}")
