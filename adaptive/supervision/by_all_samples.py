@@ -287,8 +287,7 @@ def _may_speak(found: Findings, own: Outcome, look: Look, seen: AllSamples) -> b
     record, cause = found.record, own.diagnosis.cause if own.diagnosis is not None else None
     if record.table.lookup is not Lookup.HARD or record.crossed or found.joined:
         return False
-    not_its = seen.by_loads or seen.shown or found.clear or cause in {Cause.STICTION, Cause.NOISE}
-    if own.code not in OPEN and not_its:
+    if own.code not in OPEN and (seen.by_loads or seen.shown or found.clear or cause in {Cause.STICTION, Cause.NOISE}):
         return False
     stood = cause is Cause.SATURATION  # before the look began, too
     if stood or look.limited > MOST_LIMITED or not may_follow(found.question.trial, found.settings):
