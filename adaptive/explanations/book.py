@@ -16,11 +16,10 @@ in what moves the window). Without a tone these answers are judged under a load 
 slow processes better. Both opinions use the same samples, so their weights have the sum 1 (Genest & Zidek 1986).
 
 No window makes anything sure: it may be an odd one, that says nothing. No process of the grid is the loop's, either:
-what one leaves of a window is not told from noise down to MODEL_ERROR of pv's range. Windows add up on one grid
-(process_grid.py), because gains are counted in a unit, and time in an interval, that stay: those of the loop when its
-book was begun. Before any record each process is as likely as the others on which a loop at work is neither far beyond
-its limit of stability nor idle; those that run away have RUNAWAYS of the odds, shared by those that shares of the gains
-hold.
+what one leaves is not told from noise down to MODEL_ERROR of pv's range. Windows add up on one grid (process_grid.py):
+its unit of gains and interval of time stay those of the loop when its book was begun. Before any record each process is
+as likely as the others on which a loop at work is neither far beyond its limit of stability nor idle; those that run
+away have RUNAWAYS of the odds, shared by the ones that shares of the gains hold.
 
 A window that still grows is weighed anew each time: `whole` is what was known before it. The weights are kept in levels
 of STEP, so a stored book is the same as one that was not. A fade of less than a level waits, by the clock, until it is.
