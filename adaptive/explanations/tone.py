@@ -19,7 +19,8 @@ import math
 
 import numpy as np
 
-from retuner.adaptive.signals.sample import FloatArray
+from retuner.adaptive.explanations.wandering_load import block_means
+from retuner.adaptive.signals.sample import FloatArray, Window
 
 FEWEST_PERIODS, FEWEST_SAMPLES = 1.5, 6
 """Fewest periods of a tone within a window, and samples to a period: others are how a load wanders, or noise."""
@@ -33,7 +34,16 @@ AROUND, LEAST = 4, 1e-9
 """Factor on both sides of a line's frequency within which it is compared; least share of the most that a line has."""
 
 
-def likeliest_tone(error: FloatArray) -> tuple[FloatArray, tuple[int, ...], tuple[float, ...]]:
+Tone = tuple[FloatArray, tuple[int, ...], tuple[float, ...]]
+
+
+def tone_of(window: Window, interval_s: float) -> Tone:
+    """likeliest_tone of a window that is condensed to this interval."""
+    n = max(round(interval_s / window.sample_time_s), 1)
+    return likeliest_tone(block_means(window.sp - window.pv, n))
+
+
+def likeliest_tone(error: FloatArray) -> Tone:
     """The columns of a window's tone, shape (number, n); how many of them no tone, a line, a drifting one and, where
     its harmonics stand out, one with these take; and the price of each, as a logarithm that is not tempered. error :
     setpoint less pv, shape (n,).

@@ -24,6 +24,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from retuner.adaptive.explanations.tone import Tone
 from retuner.adaptive.explanations.wandering_load import (
     T_SETPOINT,
     TEMPER,
@@ -67,9 +68,7 @@ FREE_DEAD_TIMES = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.5, 7.0, 9.0, 12.0)
 FINER = tuple((np.arange(-8, 9) / 8).tolist())
 """Dead times, and those beside the likeliest: half a sample that a grid lacks was taken for a valve, where the noise is
 small."""
-Tone = tuple[FloatArray | None, tuple[int, ...], tuple[float, ...]]
-NO_TONE: Tone = None, (0,), (0.0,)
-"""A tone that loads may hold, as likeliest_tone (tone.py) gives it."""
+NO_TONE: Tone = np.zeros((0, 0)), (0,), (0.0,)
 Loads = Sequence[tuple[float, int]]
 LOADS: Loads = tuple((bandwidth, order) for order in (1, 2) for bandwidth in (0.05, 0.2, 0.8, math.inf))
 """Bandwidth and order of the loads that are tried."""

@@ -27,7 +27,13 @@ from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.explanations.book import MOST_ROOM, MS_OF_ROOM, Book, doubted, heard, update
 from retuner.adaptive.explanations.likely_processes import cost_on
 from retuner.adaptive.explanations.settings_by_book import BookSettings, ByBook, bears, by_book, gain, lets_go, shares
-from retuner.adaptive.explanations.wandering_load import Prepared, lead_of_steps, log_likelihood
+from retuner.adaptive.explanations.tone import tone_of
+from retuner.adaptive.explanations.wandering_load import (
+    TEMPER,
+    Prepared,
+    lead_of_steps,
+    log_likelihoods,
+)
 from retuner.adaptive.guard import Proof, prove
 from retuner.adaptive.guard.request import ChangeRequest, Evidence
 from retuner.adaptive.identification.plausible import Plausible
@@ -247,7 +253,7 @@ def _doubt(found: Findings, own: Outcome, proof: Proof, seen: AllSamples, *, les
 
 def _likelier_by_steps(found: Findings, book: Book, *, less: bool) -> bool:
     """Whether a clear response (for more action also one that agrees with such) is likelier by its fit, loads being
-    steps, than by every process of the book's grid under a load that wanders.
+    steps, than by every process of the book's grid under a load that wanders, with or without a tone from outside.
     """
     learned, record = found.learned, found.record
     if (
@@ -261,7 +267,9 @@ def _likelier_by_steps(found: Findings, book: Book, *, less: bool) -> bool:
     if len(window.pv) < FEWEST_ROWS:
         return True
     left = (1.0 - estimate.explained) * float(np.var(record.window.pv)) * len(window.pv) / n
-    likelihood = log_likelihood(window, book.direction, book.unit)
+    columns, taken, prices = tone_of(record.window, book.dt_s)
+    each, _ = log_likelihoods(window, book.direction, book.unit, columns, taken)
+    likelihood = each - np.array(prices)[:, None, None, None] / TEMPER
     return lead_of_steps(left, len(estimate.load_times_s), n, window, likelihood) > 0.0
 
 

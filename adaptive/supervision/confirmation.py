@@ -18,9 +18,9 @@ from retuner.adaptive.diagnosis.second_opinion import SWINGING, TOWARDS_SAFETY, 
 from retuner.adaptive.diagnosis.swing_checks import at_own_crossover, foretold, not_seen
 from retuner.adaptive.diagnosis.unstable_process import unstable_process, worse_on
 from retuner.adaptive.explanations.book import Book
-from retuner.adaptive.explanations.tone import likeliest_tone
+from retuner.adaptive.explanations.tone import tone_of
 from retuner.adaptive.explanations.valve_odds import WEIGHT, log_odds_of_valve
-from retuner.adaptive.explanations.wandering_load import Prepared, block_means
+from retuner.adaptive.explanations.wandering_load import Prepared
 from retuner.adaptive.guard import Proof
 from retuner.adaptive.identification.estimate import log_controller
 from retuner.adaptive.identification.plausible import Plausible
@@ -193,9 +193,8 @@ def valve_explains_more(window: Window, book: Book, odds: float) -> bool:
     """Whether a valve that sticks or has play explains all samples by more than these odds, ln, tempered as loads; what
     a tone from outside makes co do beside it is no valve's.
     """
-    error = block_means(window.sp - window.pv, max(round(book.dt_s / window.sample_time_s), 1))
-    record = Prepared.at(window, book.dt_s)
-    return log_odds_of_valve([record], book.direction, likeliest_tone(error)) > WEIGHT * odds
+    tone = tone_of(window, book.dt_s)
+    return log_odds_of_valve([Prepared.at(window, book.dt_s)], book.direction, tone) > WEIGHT * odds
 
 
 def _of_this_process(found: Findings) -> Sequence[LoopSample]:

@@ -728,6 +728,15 @@ def test_a_fit_that_is_likelier_than_every_process_of_the_book_is_not_objected_t
     assert (found.proof is None) is dropped
 
 
+@pytest.mark.parametrize(("explained", "dropped"), [(0.9999, False), (0.995, True)])
+def test_a_fit_that_explains_less_than_a_tone_does_is_objected_to(explained: float, *, dropped: bool) -> None:
+    """Setpoint steps beside a tone were fitted with a load step each, and took kp from 102 to 0.3: J 3.6 to 77."""
+    window = recorded(GOOD, 5)
+    toned = replace(window, pv=window.pv + 2.0 * np.sin(window.t_s * 2.0 * math.pi / 16.0))
+    found = put_to_the_book(1.0, 0.7, 0.5, clear=toned, explained=explained)
+    assert (found.proof is None) is dropped
+
+
 @pytest.mark.slow
 def test_less_action_by_a_model_that_is_not_identifiable_is_dropped_before_half_a_window() -> None:
     found = put_to_the_book(1.0, 0.3, 1.5, first=True, settled=False, n=450)
