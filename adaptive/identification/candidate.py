@@ -47,14 +47,14 @@ def judged(fit: Fit, prior: Prior | None = None) -> Candidate:
     price = BARRED * loads_at(fit, record.barred_s) if record.barred_s else 0.0
     weighed = criterion(left, len(record.pv), fit.misfit.unknowns, MODEL_ERROR * record.pv_range)
     rare = RARE.get(fit.misfit.type, 0.0)
-    # What the rests before and after setpoint changes say against a fit; of a valve's output they say nothing
+    return Candidate(fit, left, weighed + known + price + rare + _at_rest(fit))
+
+
+def _at_rest(fit: Fit) -> float:
+    """What the rests before and after setpoint changes say against a fit; of a valve's output they say nothing."""
     misfit = fit.misfit
     rests = misfit.record.rests if misfit.co is None else ()
-    return Candidate(
-        fit,
-        left,
-        weighed + known + price + rare + sum((rest.cost(misfit.type, fit.x, misfit.sign) for rest in rests), 0.0),
-    )
+    return sum((rest.cost(misfit.type, fit.x, misfit.sign) for rest in rests), 0.0)
 
 
 def load_price(misfit: Misfit) -> float:
