@@ -22,7 +22,7 @@ import numpy as np
 from retuner.adaptive.cause_odds.compared_records import FEWEST_RECORD_SAMPLES, compared, windows_of
 from retuner.adaptive.cause_odds.odds_settings import OddsSettings
 from retuner.adaptive.cause_odds.smoothed_record import with_smoothing
-from retuner.adaptive.cause_odds.valve_evidence import said_for_valve, shapes_of, unlike
+from retuner.adaptive.cause_odds.valve_evidence import shapes_of
 from retuner.adaptive.controller_settings.summed_law import rough_law
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
 from retuner.adaptive.diagnosis.diagnose import diagnose_window
@@ -135,12 +135,12 @@ def diagnose_records(
     odds = None
     if known is not None:
         odds = tuning_odds(walk.log_likelihood, known, walk.record.sample_time_s, settings.prior, settings.limits)
-    free, by_shape = max(unlike(f) for _, f in open_ones), sum(shapes_of(f, settings) for _, f in open_ones)
+    by_shape = sum(shapes_of(f, settings) for _, f in open_ones)
     stepped = any(setpoint_changes(w) for w, _ in open_ones)  # what a valve does after a step may repeat as steps do
     if not stepped and (walk.valve > 0.0 or by_shape > 0.0):
         walk = max((_repeating(walk, [w for w, _ in open_ones], one) for one in signs), key=lambda w: w.repeats)
     tones = [_lasting_tone(f, settings) for _, f in open_ones if stepped and "external" in f.fits]
-    under_walk, whole = _under_walk(walk, odds, by_shape, free, settings, max(tones, default=0.0))
+    under_walk, whole = _under_walk(walk, odds, by_shape, settings, max(tones, default=0.0))
     under_steps, weight = _under_steps(open_ones, under_walk, whole, walk, known, settings)
     most = 1.0 - (1.0 - settings.most) / len(open_ones)
     causes = _mixed(under_steps, under_walk, weight, most)
@@ -216,23 +216,24 @@ def _repeating(walk: Walk, windows: Sequence[Window], direction: int) -> Walk:
 UNSEEN, SEEN = -1.7, 6.9
 """Evidence of a record in which no valve with slips of its own is likelier: of one and the same, others may show it.
 And of a valve of one band, from which none is looked for."""
+MOST_SAID = 500.0  # ln Bayes factor of a valve that counts at the most: its exponential is a number
 
 
 def _under_walk(
-    walk: Walk, odds: TuningOdds | None, shapes: float, free: float, settings: OddsSettings, tone: float = 0.0
+    walk: Walk, odds: TuningOdds | None, shapes: float, settings: OddsSettings, tone: float = 0.0
 ) -> tuple[dict[Cause, float], float]:
     """Odds under a load that wanders, and ln of how many times likelier loop, valve and load that repeats are than the
     loop alone. Whether the gain changes along pv is not asked where loads are steps.
 
-    shapes : what shapes and plateaus say for a valve, in all records. free : logarithm of a factor against the valves
-    of the grid up to which it says nothing (unlike). tone : how far a tone that lasts moves pv beside setpoint steps.
+    shapes : what shapes and plateaus say for a valve, in all records. tone : how far a tone that lasts moves pv beside
+    setpoint steps.
     """
     linear = 1.0 - settings.stiction - settings.nonlinear - settings.repeats
     # Loads alone may bend a record, and no process that bends has a pv that stands while co travels
     bends = walk.moved >= settings.moved and shapes < math.log(settings.stands)
     along = walk.along.log_bayes if bends else min(walk.along.log_bayes, 0.0)
     said = {
-        Cause.STICTION: math.log(settings.stiction) + said_for_valve(walk.valve, shapes, free, settings),
+        Cause.STICTION: math.log(settings.stiction) + min(walk.valve, MOST_SAID) + shapes,
         Cause.NONLINEAR: math.log(settings.nonlinear) + along,
         Cause.EXTERNAL: math.log(settings.repeats) + WEIGHT * walk.repeats,
         Cause.OK: math.log(linear),
