@@ -59,7 +59,8 @@ def _until_broken(left: list[Task], do: Work, jobs: int) -> Generator[tuple[Task
                     task = left.pop()
                     running[pool.submit(do, task)] = task
                 for future in wait(running, return_when=FIRST_COMPLETED).done:
-                    yield running.pop(future), future.result()
+                    rows = future.result()  # before its task goes: where its process died, the task is done again
+                    yield running.pop(future), rows
         except BrokenProcessPool:
             return list(running.values())
         except BaseException:
