@@ -27,6 +27,7 @@ from retuner.adaptive.explanations.wandering_load import (
     setpoint_share,
     temper,
 )
+from retuner.adaptive.identification.candidate import MODEL_ERROR
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
@@ -76,13 +77,15 @@ def compared(
 def _weighed(record: Prepared, walk: FloatArray, share: float, direction: int, unit: float) -> FloatArray:
     """Log-likelihood of every process as it counts.
 
-    walk : under a load that wanders. share : s of wandering_load.py.
+    walk : under a load that wanders. share : s of wandering_load.py. What a process leaves of the answers is not told
+    from noise down to MODEL_ERROR of pv's range, for none of the grid is the loop's.
     """
     by_loads = TEMPER * (1.0 - share) / T_LOADS * walk
     if not share:
         return by_loads
     asked = np.zeros((len(shapes(EVERY_LAG)), *walk.shape[1:]), dtype=bool)
     asked[: len(walk)] = True
+    record = replace(record, resolution=max(record.resolution, MODEL_ERROR * float(np.ptp(record.pv))))
     answers = log_likelihood_of_answers(record, direction, unit, asked)[: len(walk)]
     if not np.ptp(answers) > 0:  # too short for an autoregression
         answers = TEMPER * walk
