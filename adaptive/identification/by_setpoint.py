@@ -272,8 +272,8 @@ def _told(
     log, newest, noise = alternatives[0].log, records[-1], left[1]
     wide = replace(settings, gain_std_limit=UNSETTLED, lag_std_limit=math.inf)
     open_ = left_open(log, around, newest.dt_s, newest.reach * newest.dt_s, wide)
-    spread = integral_spread(around, newest.dt_s)
-    if not open_ and spread > wide.gain_std_limit:  # the models ask for integral actions too far from each other
+    spread = 0.0 if open_ else integral_spread(around, newest.dt_s)
+    if not spread <= wide.gain_std_limit:  # the models ask for integral actions too far from each other
         known, needed = factors_text(spread, wide.gain_std_limit)
         open_ = f"the integral action is uncertain by a factor of {known} (limit {needed})"
     steps = sum(len(one.steps) for one in records)

@@ -83,10 +83,10 @@ class Place:
     def judged(self, gains: PidGains) -> Judged:
         """How a set does here; asked once."""
         if gains not in self._judged:
-            peaks, setpoint, load = [sensitivity_peak(process, gains) for process in self.processes], math.inf, math.inf
+            peaks, j = [sensitivity_peak(process, gains) for process in self.processes], math.inf
             if math.isfinite(peaks[0]):
                 setpoint, load = iae(self.model, gains, self.sample_time_s)
-            j = 0.5 * (setpoint / self.iae[0] + load / self.iae[1])
+                j = 0.5 * (setpoint / self.iae[0] + load / self.iae[1])
             self._judged[gains] = Judged(peaks[0], max(peaks), j)
         return self._judged[gains]
 

@@ -114,9 +114,10 @@ def _known_out(known: Sequence[StructureModel]) -> list[dict[str, object]]:
 def _known_in(bodies: Sequence[Mapping[str, Any]]) -> tuple[StructureModel, ...]:
     known = []
     for body in bodies:
-        drift = body.get("drift")  # memories of before have none
-        drift = drift and Drift(*(np.array(drift[name], dtype=np.float64) for name in DRIFT))
-        known.append(StructureModel(_log_in(body), float(body["evidence"]), drift))
+        log, evidence, drift = _log_in(body), float(body["evidence"]), body.get("drift")  # memories of before have none
+        if drift is not None:
+            drift = Drift(*(np.array(drift[name], dtype=np.float64) for name in DRIFT))
+        known.append(StructureModel(log, evidence, drift))
     return tuple(known)
 
 

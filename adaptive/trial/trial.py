@@ -83,8 +83,8 @@ class Trial:
         """
         return cls(
             phase=TrialPhase[str(body["phase"]).upper()],
-            old=body["old"] and PidGains(*body["old"]),
-            new=body["new"] and PidGains(*body["new"]),
+            old=PidGains(*body["old"]) if body["old"] else None,
+            new=PidGains(*body["new"]) if body["new"] else None,
             prediction=Prediction.from_dict(body["promise"]) if body["promise"] else None,
             ran=bool(body["ran"]),
             since_s=float(body["since_s"]),
