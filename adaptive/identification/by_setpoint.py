@@ -351,10 +351,9 @@ def noise_filter(left: Sequence[FloatArray], misfit: float) -> NoiseFilter:
     misfit : standard deviation of what no structure explains, pv units.
     """
     most = max(order for order in ORDERS if order * SAMPLES_A_TERM <= min(map(len, left)))
-    past = np.zeros((0, most))  # the samples before each one, the latest first
-    for v in left:
-        own = [v[most - k : len(v) - k] for k in range(1, most + 1)]
-        past = np.concatenate([past, np.stack(own, 1) if most else np.zeros((len(v), 0))])
+    lags = range(1, most + 1)  # the samples before each one, the latest first
+    rows = [np.stack([v[most - k : len(v) - k] for k in lags], 1) if most else np.zeros((len(v), 0)) for v in left]
+    past = np.concatenate(rows)
     now = np.concatenate([v[most:] for v in left])
     n, floor = len(now), misfit**2
     normal, against = past.T @ past + n * floor * np.eye(most), past.T @ now

@@ -119,7 +119,7 @@ def against(
     most = max([settings.harmless_ms, *promised])
     best = storable(ms.best) if ms else None
     robustness = RobustnessNumbers(storable(found.ms_tried), most, storable(found.ms_old), best)
-    if not robust and found.robuster and found.ms_tried > most:
+    if not robust and found.robuster and not found.ms_tried <= most:
         words = "the loop is unstable" if math.isinf(found.ms_tried) else f"Ms is at least {found.ms_tried:.2f}"
         told = f"worse than predicted: on every plausible model {words}, limit {most:.2f}"
         return told, PosteriorNumbers(robustness)

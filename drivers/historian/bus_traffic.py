@@ -62,7 +62,9 @@ def tables_of_traffic(path: Path, form: RecordForm) -> list[RawTable]:
         if key in messages:
             times.setdefault(key, []).append(frame.t_s)
             data.setdefault(key, []).append(frame.data)
-    for key, frames in {key: _frames(times[key], some, messages[key].length) for key, some in data.items()}.items():
+    by_key = {key: _frames(times[key], some, messages[key].length) for key, some in data.items()}
+    del times, data  # a number and some bytes for each frame of the log
+    for key, frames in by_key.items():
         for signal, name in _names(messages[key]).items():
             called = form.called(name)
             asked = next((n for n in (called, name, signal) if n in form.others), "")

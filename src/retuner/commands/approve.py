@@ -209,12 +209,13 @@ def revert(options: RevertOptions) -> int:
     if change is None:
         most = max(place.shown.changes, default=0)
         raise UserError(f"--decision {decision}: the ledger has no such decision; there are {most or 'none'}")
+    file = place.put(OrderKind.REVERT, options, decision=decision)
     document = {
         "session": str(place.session),
         "decision": decision,
         "region": change.region,
         "gains": gains_dict(change.before),
-        "file": str(place.put(OrderKind.REVERT, options, decision=decision)),
+        "file": str(file),
     }
     back = f"{change.region} back to {settings_text(change.before)}, as before decision {decision}"
     tell(document, [f"{back}: {place.who_acts()}"], as_json=options.as_json)
