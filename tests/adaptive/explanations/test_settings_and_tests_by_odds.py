@@ -20,6 +20,7 @@ from retuner.adaptive.explanations.process_grid import (
 )
 from retuner.adaptive.explanations.proposed_test import DecidingTest, TestKind
 from retuner.adaptive.explanations.settings_by_odds import halved, likely_processes, worthwhile
+from retuner.adaptive.explanations.tone import likeliest_tone
 from retuner.adaptive.explanations.tuning_odds import TuningLimits, TuningOdds, tuning_odds
 from retuner.adaptive.explanations.valve_odds import log_odds_of_valve
 from retuner.adaptive.explanations.wandering_load import Prepared, log_likelihood
@@ -111,10 +112,12 @@ def test_a_loop_far_too_tight_is_calmed_where_no_set_is_sure() -> None:
     assert found.tuning.gains.ki == pytest.approx(share * 0.25)
 
 
-def record_through_valve(band: float, step: float, seed: int = 2, n: int = 700) -> Prepared:
+def record_through_valve(band: float, step: float, seed: int = 2, n: int = 700, tone: float = 0.0) -> Prepared:
     """A setpoint step out and back under a load that wanders, through a valve that stays until co is a band away."""
     gains, rng = PidGains(1.5, 0.075), np.random.default_rng(seed)
     load, pole = np.cumsum(rng.standard_normal(n)) * 0.05, math.exp(-1 / 10.0)
+    turned = np.cumsum(0.1 + 0.015 * np.sin(np.arange(n) / 90.0))
+    load += tone * (np.sin(turned) + 0.4 * np.sin(2.0 * turned + 1.0))
     pv, co = np.zeros(n), np.zeros(n)
     y = total = valve = 0.0
     for i in range(n):
@@ -131,6 +134,15 @@ def record_through_valve(band: float, step: float, seed: int = 2, n: int = 700) 
 def test_a_valve_that_sticks_is_seen_under_a_load_and_a_free_one_is_not(band: float, step: float) -> None:
     found = log_odds_of_valve([record_through_valve(band, step)], 1)
     assert (found > (10.0 if step else 1.0)) if band else (found < 0.0)
+
+
+@pytest.mark.parametrize(("band", "step", "size"), [(0.0, 0.0, 1.0), (0.0, 0.0, 3.0), (1.0, 4.0, 3.0), (1.5, 0.0, 3.0)])
+def test_a_tone_speaks_against_a_free_valve_and_does_not_hide_one_that_sticks(
+    band: float, step: float, size: float
+) -> None:
+    record = record_through_valve(band, step, tone=size)
+    alone, beside = log_odds_of_valve([record], 1), log_odds_of_valve([record], 1, likeliest_tone(-record.pv))
+    assert (alone > 10.0 and beside > 10.0) if band else (beside < alone - 3.0)
 
 
 def test_records_of_one_valve_say_more_together_than_those_of_two() -> None:
