@@ -48,7 +48,7 @@ from retuner.adaptive.explanations.process_grid import (
     robustness,
     shapes,
 )
-from retuner.adaptive.explanations.tone import likeliest_tone
+from retuner.adaptive.explanations.tone import tone_of
 from retuner.adaptive.explanations.wandering_load import (
     ORDERS,
     T_SETPOINT,
@@ -231,8 +231,8 @@ def update(book: Book, window: Window, *, hazard_s: float = math.inf, grows: boo
     levels, says = known.whole, len(record.pv) >= FEWEST_SAMPLES and np.ptp(record.pv) > 0 and np.ptp(record.co) > 0
     if says:
         logs, kept = _logs(levels)
-        error, setpoint = (one - one[0] for one in (block_means(x, n) for x in (window.sp - window.pv, window.sp)))
-        columns, taken, prices = likeliest_tone(error)
+        setpoint = block_means(window.sp, n)
+        setpoint, (columns, taken, prices) = setpoint - setpoint[0], tone_of(window, book.dt_s)
         whole, orders = log_likelihoods(record, book.direction, book.unit, columns, taken, EVERY_LAG, kept)
         alone, *toned = (one[kept] - price / TEMPER for one, price in zip(whole, prices, strict=True))
         beside = np.logaddexp.reduce(toned) - math.log(len(toned))

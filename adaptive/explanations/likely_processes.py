@@ -136,7 +136,7 @@ def costs(likely: LikelyProcesses, gains: PidGains, settings: WorthSettings) -> 
 
 
 def cost_on(process: LinearProcess, ms: float, gains: PidGains, interval_s: float, settings: WorthSettings) -> float:
-    """Cost of a set on a process on which it has this Ms. interval_s : in which the process is slow, as in a book."""
+    """Cost of a set on a process on which it has this Ms. interval_s : a small part of its lags."""
     response = gains.direction * process.response(FREQUENCIES / interval_s)[None]
     return float(_cost(response, np.array([ms]), gains, interval_s, settings)[0])
 

@@ -287,7 +287,9 @@ def _best(
     for new in candidates:
         peaks = drawn.peaks(new)
         good = float(drawn.weights @ (peaks <= settings.ms_good)) >= settings.more_odds
-        if not (good and _harmless(drawn, before, peaks, settings)) if more else lets_go(drawn, gains, new, settings):
+        if more and not (good and _harmless(drawn, before, peaks, settings)):
+            continue
+        if not more and lets_go(drawn, gains, new, settings):
             continue
         worth = now - expected_cost(drawn, new, settings.cost)[0]
         if worth >= settings.worth:

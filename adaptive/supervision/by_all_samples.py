@@ -28,12 +28,7 @@ from retuner.adaptive.explanations.book import MOST_ROOM, MS_OF_ROOM, Book, doub
 from retuner.adaptive.explanations.likely_processes import cost_on
 from retuner.adaptive.explanations.settings_by_book import BookSettings, ByBook, bears, by_book, gain, lets_go, shares
 from retuner.adaptive.explanations.tone import tone_of
-from retuner.adaptive.explanations.wandering_load import (
-    TEMPER,
-    Prepared,
-    lead_of_steps,
-    log_likelihoods,
-)
+from retuner.adaptive.explanations.wandering_load import TEMPER, Prepared, lead_of_steps, log_likelihoods
 from retuner.adaptive.guard import Proof, prove
 from retuner.adaptive.guard.request import ChangeRequest, Evidence
 from retuner.adaptive.identification.plausible import Plausible
