@@ -90,13 +90,6 @@ class Axis:
                 raise ValueError(f"{text!r} has characters that cannot be printed on one line")
         if self.signal and self.variable != CAN:
             raise ValueError(f"signal = {self.signal!r} belongs to variable {CAN!r}, not to {self.variable!r}")
-        self._check_edges(names)
-        for name, value in (("min_stay_s", self.min_stay_s), ("filter_s", self.filter_s)):
-            if not 0 <= value < math.inf:
-                raise ValueError(f"{name} = {value} must be a finite number, 0 or more")
-
-    def _check_edges(self, names: tuple[str, ...]) -> None:
-        """Edges that increase, wide enough for the hysteresis."""
         edges = self.edges
         for edge in (*edges, self.high - self.low):
             if not math.isfinite(edge):
@@ -110,6 +103,9 @@ class Axis:
                     f"hysteresis = {self.hysteresis} must be 0 to half of every region's width;"
                     f" {named} is {above - below:g} wide"
                 )
+        for name, value in (("min_stay_s", self.min_stay_s), ("filter_s", self.filter_s)):
+            if not 0 <= value < math.inf:
+                raise ValueError(f"{name} = {value} must be a finite number, 0 or more")
 
     def __len__(self) -> int:
         return len(self.bounds) + 1

@@ -151,7 +151,13 @@ def outlooks(
     of_rule = iae[-n:]
     rows = [[_j(iae[i * n + k], of_rule[k]) for k in range(n)] for i in range(len(sets))]
     peaks = [[sensitivity_peak(process, one.gains, loop.tau_f_s) for process in processes] for one in sets]
-    table = _costs(rows, peaks, settings)
+    table = [[cost(j, ms, settings) for j, ms in zip(*pair, strict=True)] for pair in zip(rows, peaks, strict=True)]
+    ends = [[math.isfinite(j + ms) for j, ms in zip(*pair, strict=True)] for pair in zip(rows, peaks, strict=True)]
+    for k in range(n):  # on a model an unstable set costs more than every stable one
+        stable = [costs[k] for costs, stays in zip(table, ends, strict=True) if stays[k]]
+        most = max([settings.most, *(one + settings.out for one in stable)])
+        for costs, stays in zip(table, ends, strict=True):
+            costs[k] = costs[k] if stays[k] else most
     made: list[Outlook] = []
     for choosable, row, ms, costs in zip(sets, rows, peaks, table, strict=True):
         between = over(choosable.between, settings) if choosable.between else 0.0
@@ -168,20 +174,6 @@ def outlooks(
 
 def _mean(values: Sequence[float], weights: Sequence[float]) -> float:
     return sum(w * x for w, x in zip(weights, values, strict=True)) / sum(weights)
-
-
-def _costs(
-    rows: Sequence[Sequence[float]], peaks: Sequence[Sequence[float]], settings: ChoiceSettings
-) -> list[list[float]]:
-    """Cost of each set on each model, by its J and Ms. An unstable set costs more there than every stable one."""
-    table = [[cost(j, ms, settings) for j, ms in zip(*pair, strict=True)] for pair in zip(rows, peaks, strict=True)]
-    ends = [[math.isfinite(j + ms) for j, ms in zip(*pair, strict=True)] for pair in zip(rows, peaks, strict=True)]
-    for model in range(len(table[0])):
-        stable = [costs[model] for costs, stays in zip(table, ends, strict=True) if stays[model]]
-        most = max([settings.most, *(one + settings.out for one in stable)])
-        for costs, stays in zip(table, ends, strict=True):
-            costs[model] = costs[model] if stays[model] else most
-    return table
 
 
 def _j(now: Sequence[float], rule: Sequence[float]) -> float:

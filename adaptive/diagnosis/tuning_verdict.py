@@ -188,7 +188,35 @@ def _if_agreed(loop: JudgedLoop, found: RecordVerdict, *, asked: bool = False) -
     if in_order:
         told = replace(verdict, cause=Cause.UNKNOWN, confidence=0.5, reason=in_order)
         return replace(found, diagnosis=told, estimate=estimate, tuning=None)
-    return _with_settings(loop, replace(found, estimate=estimate), asked)
+    # The settings that would cure it, where identification knows the process as well and means the same
+    found = replace(found, estimate=estimate)
+    other = loop.fits.estimate()
+    if setpoint_changes(loop.window):
+        other = bounded(loop.window, other, loop.settings.identified)
+    between = apart(estimate.log.model(), other.log.model(), loop.window.sample_time_s)
+    unsure = next((e.reason for e in (estimate, other) if not e.identifiable), "")
+    if hidden_sigma(loop.window.pv):
+        unsure = unsure or "pv was compressed by its recorder, and the shape of a response is the recorder's"
+    if not unsure and between > loop.settings.fit.apart_limit:
+        unsure = TWO_WAYS.format(factor_text(between))
+        if not asked:
+            return _torn(loop, found, other.log.model(), unsure)
+    if not unsure:
+        assert found.tuning is not None
+        events = verdict.evidence.get("setpoint_steps", 0.0) + verdict.evidence["loads"]
+        step = first_step(found.tuning, loop.gains, events, estimate.log.model(), loop.window.sample_time_s)
+        if step is None:
+            return found  # no farther at once than the record carries
+        told = replace(verdict, reason=f"{verdict.reason}; {step.sentence}")
+        return replace(found, diagnosis=told, tuning=step.now, aim=step.aim)
+    slow = _slow_oscillation(loop, found)
+    if slow is not None:
+        return slow
+    # by a model that is not known, a loop is not called slow that overshoots: the loads that explain it are a cover
+    covered = _overshoots(found.diagnosis.evidence, loop.settings) if found.diagnosis.cause is Cause.SLUGGISH else ""
+    if covered and found.diagnosis.evidence["loads"]:
+        return _torn(loop, found, other.log.model(), f"perhaps sluggish, by a model that needs load steps{covered}")
+    return _open(found, unsure)
 
 
 def _in_order_with_play(loop: JudgedLoop, found: RecordVerdict) -> str:
@@ -214,40 +242,6 @@ def _in_order_with_play(loop: JudgedLoop, found: RecordVerdict) -> str:
         f"a valve with play of {share:.0%} of the range of co explains the record as well. "
         f"With it the cause is {other.cause}: {other.reason}. Without it it is {found.diagnosis.cause}"
     )
-
-
-def _with_settings(loop: JudgedLoop, found: RecordVerdict, asked: bool) -> RecordVerdict:
-    """The settings that would cure it, where identification knows the process as well and means the same."""
-    estimate = found.estimate
-    assert estimate is not None
-    other = loop.fits.estimate()
-    if setpoint_changes(loop.window):
-        other = bounded(loop.window, other, loop.settings.identified)
-    between = apart(estimate.log.model(), other.log.model(), loop.window.sample_time_s)
-    unsure = next((e.reason for e in (estimate, other) if not e.identifiable), "")
-    if hidden_sigma(loop.window.pv):
-        unsure = unsure or "pv was compressed by its recorder, and the shape of a response is the recorder's"
-    if not unsure and between > loop.settings.fit.apart_limit:
-        unsure = TWO_WAYS.format(factor_text(between))
-        if not asked:
-            return _torn(loop, found, other.log.model(), unsure)
-    if not unsure:
-        assert found.tuning is not None
-        verdict = found.diagnosis
-        events = verdict.evidence.get("setpoint_steps", 0.0) + verdict.evidence["loads"]
-        step = first_step(found.tuning, loop.gains, events, estimate.log.model(), loop.window.sample_time_s)
-        if step is None:
-            return found  # no farther at once than the record carries
-        told = replace(verdict, reason=f"{verdict.reason}; {step.sentence}")
-        return replace(found, diagnosis=told, tuning=step.now, aim=step.aim)
-    slow = _slow_oscillation(loop, found)
-    if slow is not None:
-        return slow
-    # by a model that is not known, a loop is not called slow that overshoots: the loads that explain it are a cover
-    covered = _overshoots(found.diagnosis.evidence, loop.settings) if found.diagnosis.cause is Cause.SLUGGISH else ""
-    if covered and found.diagnosis.evidence["loads"]:
-        return _torn(loop, found, other.log.model(), f"perhaps sluggish, by a model that needs load steps{covered}")
-    return _open(found, unsure)
 
 
 def _slow_oscillation(loop: JudgedLoop, found: RecordVerdict) -> RecordVerdict | None:

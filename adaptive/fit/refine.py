@@ -149,17 +149,6 @@ def refine(
     engine = compiled()
     if engine is not None:
         return Fit(misfit, *engine.refined(misfit, start, (low, high, stride), prior, evaluations, enough))
-    at, cost = _descended(misfit, start, (low, high, stride), prior, evaluations, enough)
-    return Fit(misfit, at.p, cost, at.explained)
-
-
-def _descended(
-    misfit: Misfit, start: FloatArray, limits: tuple[FloatArray, FloatArray, FloatArray], prior: Prior | None,
-    evaluations: int, enough: float,
-) -> tuple[Projection, float]:  # fmt: skip
-    """The descent itself; limits : lowest, highest and stride of p."""
-    low, high, stride = limits
-    d = SIZE[misfit.type]
     at = misfit.solve(np.clip(start, low, high))
     cost, damping, ends = _cost(at, d, prior), DAMPING, 0
     normal, gradient = _normal(misfit, at, d, prior)
@@ -178,7 +167,7 @@ def _descended(
         if ends > 1:
             break
         normal, gradient = _normal(misfit, at, d, prior)
-    return at, cost
+    return Fit(misfit, at.p, cost, at.explained)
 
 
 def _cost(at: Projection, d: int, prior: Prior | None) -> float:

@@ -99,30 +99,25 @@ def limit_checks(
         value = math.exp(abs(way))
         words = f"factor of {parameter} in one change, towards {'more' if more else 'less'} control action"
         found.append(Check(f"step_{parameter.name.lower()}", words, value, limit, value <= limit * (1 + ROUNDING)))
-    return [*found, *_totals(request, gains, settings, over_limit), *_absolute(request, gains, settings)]
-
-
-def _totals(request: ChangeRequest, new: PidGains, s: GuardSettings, over_limit: bool) -> list[Check]:
-    found = []
-    before, now, after = logs(request.commissioned), logs(request.in_force), logs(new)
-    floor = min(s.tau_i_samples * request.sample_time_s, math.exp(now.get(Parameter.TAU_I, math.inf)))
+    before, now, after = logs(request.commissioned), logs(request.in_force), logs(gains)
+    floor = min(settings.tau_i_samples * request.sample_time_s, math.exp(now.get(Parameter.TAU_I, math.inf)))
     absolute = {
-        Parameter.KC: (s.kc_min, s.kc_max),
-        Parameter.TAU_I: (max(s.tau_i_min_s, floor), s.tau_i_max_s),
-        Parameter.TAU_D: (0.0, s.tau_d_max_s),
+        Parameter.KC: (settings.kc_min, settings.kc_max),
+        Parameter.TAU_I: (max(settings.tau_i_min_s, floor), settings.tau_i_max_s),
+        Parameter.TAU_D: (0.0, settings.tau_d_max_s),
     }
     for parameter, (least, most) in absolute.items():
         if parameter in before and parameter in after:
             way, start = after[parameter] - before[parameter], math.exp(before[parameter])
             less = (way > 0) != MORE_WHEN_LARGER[parameter]
-            value, limit = math.exp(abs(way)), math.inf if over_limit and less else s.total_ratio_max
+            value, limit = math.exp(abs(way)), math.inf if over_limit and less else settings.total_ratio_max
             forced = least / start if way > 0 else start / most
             words = f"{parameter} as a factor of its baseline"
             name, limit = f"total_{parameter.name.lower()}", max(limit, forced)
             check = Check(name, words, value, limit, value <= limit * (1 + ROUNDING))
             gone = now.get(parameter, before[parameter]) - before[parameter]
             found.append(no_worse(check, math.exp(math.copysign(1.0, way) * gone)))
-    return found
+    return [*found, *_absolute(request, gains, settings)]
 
 
 def _absolute(request: ChangeRequest, new: PidGains, s: GuardSettings) -> list[Check]:

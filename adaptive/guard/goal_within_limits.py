@@ -78,32 +78,36 @@ def goals(
     tau_i_cut, tau_i_by = _cut(tau_i, *limits.tau_i()) if unlocked.ki and not locks.tau_i else (tau_i, None)
     tau_d_cut, tau_d_by = limits.cut_tau_d(tau_d)
     cuts = [("kc", kc, kc_cut, kc_by), ("tau_I", tau_i, tau_i_cut, tau_i_by), ("tau_D", tau_d, tau_d_cut, tau_d_by)]
-    notes = _notes(cuts, wanted.direction)
+    held: dict[str, list[str]] = {}
+    for name, was, now, by in cuts:
+        if by is None:
+            continue
+        sign, told = (wanted.direction if name == "kc" else 1), held.setdefault(by.name, [])
+        shown = "Kc" if name == "kc" else name
+        told.append(f"{shown} held at {sign * now:.3g} (wanted {sign * was:.3g})")
+    notes = tuple(f"{', '.join(told)}: {by}" for by, told in held.items())
     turned, cut_by, numbers = _limiting(cuts, request)
     made = _made(wanted.direction, kc_cut, tau_i_cut, tau_d_cut)
     first = Goal(made, unlocked, tau_c_s, notes, cut_by, numbers, turned)
     if turned:
         return [first]
-    found = _beside(first, cuts, limits, request)
-    return [goal if over_limit else _integral_turned(goal, request.in_force) for goal in found]
-
-
-def _beside(first: Goal, cuts: list[Cut], limits: "_Limits", request: ChangeRequest) -> list[Goal]:
-    """The goal as it was cut, and with the other one moved with a cut kc or tau_I, in the order to be tried."""
-    (_, kc, kc_cut, _), (_, tau_i, tau_i_cut, tau_i_by), (_, _, tau_d, _) = cuts
-    direction, locks, notes = first.wanted.direction, request.locks, first.notes
+    # As it was cut, and with the other one moved with a cut kc or tau_I, in the order to be tried
+    direction = unlocked.direction
     shorter, _ = _cut(tau_i * kc_cut / kc, *limits.tau_i())
-    moved = replace(first, gains=_made(direction, kc_cut, shorter, tau_d), notes=("tau_I moved with Kc", *notes))
-    may_move = kc_cut < kc and not locks.tau_i and first.wanted.ki != 0.0
+    moved = replace(first, gains=_made(direction, kc_cut, shorter, tau_d_cut), notes=("tau_I moved with Kc", *notes))
+    may_move = kc_cut < kc and not locks.tau_i and unlocked.ki != 0.0
     by_integral = may_move and bool(request.models) and asks_for_integral(request.models[0].model)
     found = [first]
     if tau_i_by is not None and not locks.kc:
         kept, _ = _cut(kc * tau_i_cut / tau_i, *limits.kc())
-        second = replace(first, gains=_made(direction, kept, tau_i_cut, tau_d), notes=("Kc moved with tau_I", *notes))
+        second = replace(
+            first, gains=_made(direction, kept, tau_i_cut, tau_d_cut), notes=("Kc moved with tau_I", *notes)
+        )
         found = [second, first] if tau_i_by.ruling is None else [first, second]
     elif may_move and not by_integral:
         found = [first, moved]
-    return [moved, *found] if by_integral else found
+    found = [moved, *found] if by_integral else found
+    return [goal if over_limit else _integral_turned(goal, request.in_force) for goal in found]
 
 
 CALMER = (0.8, 0.64, 0.5, 0.35, 0.25)
@@ -197,18 +201,6 @@ def _cut(value: float, low: Bound, high: Bound) -> tuple[float, Bound | None]:
 
 def _made(direction: int, kc: float, tau_i: float, tau_d: float) -> PidGains:
     return PidGains(direction * kc, direction * kc / tau_i, direction * kc * tau_d)
-
-
-def _notes(cuts: list[Cut], direction: int) -> tuple[str, ...]:
-    """What was cut, in words, once for each thing that cuts; kc with its sign, as settings show it."""
-    found: dict[str, list[str]] = {}
-    for name, was, now, by in cuts:
-        if by is None:
-            continue
-        sign, told = (direction if name == "kc" else 1), found.setdefault(by.name, [])
-        shown = "Kc" if name == "kc" else name
-        told.append(f"{shown} held at {sign * now:.3g} (wanted {sign * was:.3g})")
-    return tuple(f"{', '.join(told)}: {by}" for by, told in found.items())
 
 
 def _limiting(cuts: list[Cut], request: ChangeRequest) -> tuple[bool, Ruling | None, Numbers]:

@@ -121,7 +121,13 @@ def candidates(
         improved(seed, settings.most_loads, seen)
     winner = seen.best()
     if settings.most_loads and _swallows(winner):
-        for found in _loads_first(rivals, settings.most_loads):
+        # Beside a filter each load alone pays little while the others are still in what is left: so they are found one
+        # by one where all of that counts as white, for the best of each sign
+        for sign in {c.fit.misfit.sign for c in rivals}:
+            first = next(c.fit for c in rivals if (c.fit.misfit.sign, c.fit.misfit.type) == (sign, FIRST))
+            white = judged(refine(replace(first.misfit, most_order=0), first.p))
+            fit = improved(white, settings.most_loads, CandidateList([]), WHITE_MOVES).fit
+            found = judged(replace(fit, misfit=replace(fit.misfit, most_order=first.misfit.most_order)))
             seen.add(improved(found, settings.most_loads, seen, RELATIVE_MOVES))
         winner = seen.best()
     if THIRD in settings.further and settings.most_loads and _far(winner):
@@ -189,21 +195,6 @@ def _swallows(winner: Candidate) -> bool:
     """Whether a filter takes for coloured noise what is many times the noise: loads that were not found yet."""
     record = winner.fit.misfit.record
     return bool(winner.colour.ar) and float(np.std(record.pv - winner.fit.explained)) > SWALLOWED * record.noise_std
-
-
-def _loads_first(rivals: list[Candidate], most_loads: int) -> list[Candidate]:
-    """The best of each sign where all that is left counts as white, so that it pays to find its loads one by one.
-
-    Beside a filter each load alone pays little while the others are still in what is left: the way to all of them goes
-    uphill.
-    """
-    found = []
-    for sign in {c.fit.misfit.sign for c in rivals}:
-        first = next(c.fit for c in rivals if (c.fit.misfit.sign, c.fit.misfit.type) == (sign, FIRST))
-        white = judged(refine(replace(first.misfit, most_order=0), first.p))
-        fit = improved(white, most_loads, CandidateList([]), WHITE_MOVES).fit
-        found.append(judged(replace(fit, misfit=replace(fit.misfit, most_order=first.misfit.most_order))))
-    return found
 
 
 def _rivals(

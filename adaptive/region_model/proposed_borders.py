@@ -227,18 +227,6 @@ def in_force(table: GainTable, x: float) -> PidGains:
     return table.at(choose(law, enter(law, x, 0.0), x, 0.0).region, x)
 
 
-def _best_border(row: Sequence[Place], limits: DesignLimits) -> tuple[float, Best, Best]:
-    """The boundary that serves most places of a region, and the sets below and above; a place on it counts on both
-    sides by half.
-    """
-    cuts = []
-    for at in range(1, len(row) - 1):
-        parts = (best_of(row[: at + 1], limits), best_of(row[at:], limits))
-        below, above = (Best(part.gains, part.kept - _keeps(row[at], part.gains, limits) / 2) for part in parts)
-        cuts.append((row[at].x, below, above))
-    return max(cuts, key=lambda cut: cut[1].kept + cut[2].kept)
-
-
 Way = tuple[GainTable, dict[int, float]]  # a schedule, and how many places of each present region it should serve
 
 
@@ -260,7 +248,13 @@ def _split(
         low, high = table.regions.span(region)
         bounds.append(low)
         if region in wide:
-            x, below, above = _best_border(places[region], limits)
+            row = places[region]
+            cuts = []
+            for at in range(1, len(row) - 1):
+                parts = (best_of(row[: at + 1], limits), best_of(row[at:], limits))
+                below, above = (Best(part.gains, part.kept - _keeps(row[at], part.gains, limits) / 2) for part in parts)
+                cuts.append((row[at].x, below, above))
+            x, below, above = max(cuts, key=lambda cut: cut[1].kept + cut[2].kept)
             more = below.kept + above.kept - now[region].kept
             room = min(x - low, high - x) >= 2 * table.regions.axes[0].hysteresis  # on both sides of the boundary
             if room and more >= WORTH * len(places[region]):

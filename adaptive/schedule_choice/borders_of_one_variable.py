@@ -125,7 +125,13 @@ def knots_of_fewest_sets(places: Sequence[Place], limits: DesignLimits, most: in
                     return layout
         for end in {way[-1] for way in ways} - reached.keys():
             reached[end] = [knot for row in rows for knot in _within_reach(places, end, row, limits)]
-        ways = _longer(places, ways, reached)
+        # Every way one knot farther; to each knot those that leave the edges most room
+        found: dict[Knot, list[tuple[float, tuple[Knot, ...]]]] = {}
+        for longer in ((*way, knot) for way in ways for knot in reached[way[-1]]):
+            room = _room([places[i].x for i, _ in longer])
+            if room is not None:
+                found.setdefault(longer[-1], []).append((room[1] - room[0], longer))
+        ways = [longer for several in found.values() for _, longer in sorted(several, key=lambda one: -one[0])[:KEPT]]
     return None
 
 
@@ -141,19 +147,6 @@ def _within_reach(places: Sequence[Place], end: Knot, row: Sequence[Knot], limit
         low, high = (middle, high) if _open(places, end, ahead[middle], limits) else (low, middle)
     nearer = ahead[max(low - NEARER, 0) : max(low, 0)]
     return [*(knot for knot in nearer if _open(places, end, knot, limits)), *ahead[max(low, 0) : low + 1]]
-
-
-def _longer(
-    places: Sequence[Place], ways: Sequence[tuple[Knot, ...]], reached: dict[Knot, list[Knot]]
-) -> list[tuple[Knot, ...]]:
-    """Every way one knot farther; to each knot those that leave the edges most room."""
-    found: dict[Knot, list[tuple[float, tuple[Knot, ...]]]] = {}
-    for way in ways:
-        for knot in reached[way[-1]]:
-            room = _room([places[i].x for i, _ in (*way, knot)])
-            if room is not None:
-                found.setdefault(knot, []).append((room[1] - room[0], (*way, knot)))
-    return [way for several in found.values() for _, way in sorted(several, key=lambda one: -one[0])[:KEPT]]
 
 
 def _open(places: Sequence[Place], one: Knot, two: Knot, limits: DesignLimits) -> bool:

@@ -210,7 +210,21 @@ def _at_batch(
     now = local_at(form, batch, z[:, None])
     arriving = form.arriving(batch, now, z[:, None])
     y = (response(now, arriving, batch.h_s) + form.drift(batch, now, z[:, None]))[..., 0]
-    columns = _columns(batch, loads, now, form.outside(batch))
+    # What enters linearly, a stretch each, shape (rows, columns): level, slope at the start, load steps, pushes. Of
+    # each load also the one a row later, so that its time need not be a row's
+    rows, most, outside = len(batch.pv), 1 + max(map(len, loads), default=0), form.outside(batch)
+    steps = np.zeros((rows - 1, len(batch.stretches), most))
+    for j, entered in enumerate(loads):
+        for i, row in enumerate(entered, 1):
+            steps[row:, j, i] = 1.0
+    start = np.zeros(steps.shape[1:])
+    start[:, 0] = 1.0
+    ones, entering = np.ones((rows, 1)), response(now.repeated(most), steps, batch.h_s, start)
+    beside = np.concatenate([entering[..., :0], *push_ways(batch, now, outside)], axis=2)
+    columns = [
+        np.concatenate([ones, entering[:, j, : 1 + len(entered)], beside[:, j]], axis=1)
+        for j, entered in enumerate(loads)
+    ]
     rs, lefts, bases, starts, sizes = [], [], [], [], []
     for j, stretch in enumerate(batch.stretches):
         n = len(stretch)
@@ -226,28 +240,22 @@ def _at_batch(
     found = At(z, np.concatenate(rs), tuple(lefts), None, np.array(starts), tuple(sizes))
     if not derivatives:
         return found
-    return replace(found, jacobian=_jacobian(batch, loads, form, found, noise, bases))
-
-
-def _jacobian(
-    batch: Batch, loads: Sequence[tuple[int, ...]], form: CurveForm, now: At, noise: Noise, bases: Sequence[FloatArray]
-) -> FloatArray:
-    """dr/dz with what is solved for linearly held, then projected."""
-    variants = np.concatenate([now.z[:, None], now.z[:, None] + STEP * np.eye(form.size)], axis=1)
+    # dr/dz with what is solved for linearly held, then projected
+    variants = np.concatenate([found.z[:, None], found.z[:, None] + STEP * np.eye(form.size)], axis=1)
     local = local_at(form, batch, variants)
     arriving = form.arriving(batch, local, variants)
-    for j, rows in enumerate(loads):
-        for row, size in zip(rows, now.sizes[j][: len(rows)], strict=True):
+    for j, entered in enumerate(loads):
+        for row, size in zip(entered, found.sizes[j][: len(entered)], strict=True):
             arriving[row:, j] += size
-    start = np.repeat(now.starts[:, None], variants.shape[1], axis=1)
+    start = np.repeat(found.starts[:, None], variants.shape[1], axis=1)
     y = response(local, arriving, batch.h_s, start)
-    y += form.drift(batch, local, variants) + _moved_by_push(batch, local, now, form.outside(batch))
+    y += form.drift(batch, local, variants) + _moved_by_push(batch, local, found, outside)
     moved = (y[..., 1:] - y[..., :1]) / STEP
-    found = []
+    slopes = []
     for j, stretch in enumerate(batch.stretches):
         a = white(moved[: len(stretch), j], noise.ar) / noise.sigma[j]
-        found.append(-(a - bases[j] @ (bases[j].T @ a)))
-    return np.concatenate(found)
+        slopes.append(-(a - bases[j] @ (bases[j].T @ a)))
+    return replace(found, jacobian=np.concatenate(slopes))
 
 
 def _moved_by_push(batch: Batch, local: Local, now: At, outside: Sequence[FloatArray]) -> FloatArray:
@@ -257,28 +265,6 @@ def _moved_by_push(batch: Batch, local: Local, now: At, outside: Sequence[FloatA
         return np.zeros_like(local.b)
     sizes = np.stack([size[-len(ways) :] for size in now.sizes], axis=1)
     return np.asarray(sum(way * size[:, None] for way, size in zip(ways, sizes, strict=True)), dtype=np.float64)
-
-
-def _columns(
-    batch: Batch, loads: Sequence[tuple[int, ...]], now: Local, outside: Sequence[FloatArray]
-) -> list[FloatArray]:
-    """What enters linearly, a stretch each, shape (rows, columns): level, slope at the start, load steps, pushes.
-
-    Of each load also the one a row later, so that its time need not be a row's.
-    """
-    rows, most = len(batch.pv), 1 + max(map(len, loads), default=0)
-    steps = np.zeros((rows - 1, len(batch.stretches), most))
-    for j, entered in enumerate(loads):
-        for i, row in enumerate(entered, 1):
-            steps[row:, j, i] = 1.0
-    start = np.zeros(steps.shape[1:])
-    start[:, 0] = 1.0
-    y = response(now.repeated(most), steps, batch.h_s, start)
-    ones = np.ones((rows, 1))
-    beside = np.concatenate([y[..., :0], *push_ways(batch, now, outside)], axis=2)
-    return [
-        np.concatenate([ones, y[:, j, : 1 + len(entered)], beside[:, j]], axis=1) for j, entered in enumerate(loads)
-    ]
 
 
 def white(values: FloatArray, ar: Sequence[float]) -> FloatArray:

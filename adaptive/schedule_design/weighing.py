@@ -50,7 +50,16 @@ def weighed(form: CurveForm, told: CurvesAgreement) -> Weighed:
     ranked = _ranked(form, told, most, len(most))
     best = max(ranked, key=ranked.__getitem__)
     level = ranked[(CurveShape.CONSTANT,) * len(most)]
-    covariance = _covariance(form, told, ranked, best)
+    centre = _solved(_kept(form, best), told)[0]
+    total, weights = np.zeros_like(told.normal), 0.0
+    for shapes, evidence in ranked.items():
+        weight = math.exp(max(evidence - ranked[best], -700.0))
+        if weight < LEAST_WEIGHT:
+            continue
+        z, covariance = _solved(_kept(form, shapes), told)
+        total += weight * (covariance + np.outer(z - centre, z - centre))
+        weights += weight
+    covariance = total / weights
     without = _ranked(form, told, most, n + 1) if form.second_shapes else ranked
     return Weighed(
         best[:n], best[n], covariance, ranked[best] - level, best[n + 1 :], ranked[best] - max(without.values())
@@ -97,22 +106,6 @@ def _kept(form: CurveForm, shapes: Sequence[CurveShape]) -> list[int]:
     places = [*form.places, form.felt_place, *form.second_places]
     sizes = [*map(int, shapes[:n]), *(int(shape) - 1 for shape in shapes[n:])]
     return [row for p, n in zip(places, sizes, strict=True) for row in range(p.start, p.start + n)]
-
-
-def _covariance(
-    form: CurveForm, told: CurvesAgreement, ranked: dict[tuple[CurveShape, ...], float], best: tuple[CurveShape, ...]
-) -> FloatArray:
-    """Round the likeliest shapes' coefficients, over all shapes with their weights."""
-    centre = _solved(_kept(form, best), told)[0]
-    total, weights = np.zeros_like(told.normal), 0.0
-    for shapes, evidence in ranked.items():
-        weight = math.exp(max(evidence - ranked[best], -700.0))
-        if weight < LEAST_WEIGHT:
-            continue
-        z, covariance = _solved(_kept(form, shapes), told)
-        total += weight * (covariance + np.outer(z - centre, z - centre))
-        weights += weight
-    return total / weights
 
 
 LEAST_WEIGHT = 1e-4  # share of the likeliest shape's weight below which shapes say nothing

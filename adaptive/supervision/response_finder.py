@@ -199,7 +199,15 @@ class ResponseFinder:
                 self._restart(sample)
             return None
         if not 0.0 < t_s - samples[-1][0] <= self._gap_s or mode != AUTO:
-            return self._interrupted(sample, region.region)
+            cut = sample.mode == AUTO and sample.t_s - self._samples[-1].t_s > self._gap_s and not self.at_rest
+            self._restart(sample)
+            if not cut:
+                return None
+            self._broken += 1
+            told = FIRST_TOLD
+            while told < self._broken:
+                told *= THEN
+            return Left(region.region, under_way=False, broken=told) if told == self._broken else None
         total = sp + pv + co + x + x2
         if total - total != 0.0 and not self._is_placed(sample):
             # The region stays, and nothing is learned
@@ -254,18 +262,6 @@ class ResponseFinder:
         else:
             self._region = enter(self._regions, sample.x, sample.t_s, sample.x2, region)
         self._forget(sample)
-
-    def _interrupted(self, sample: LoopSample, region: int) -> Left | None:
-        """It begins anew. A gap before a response was complete is told after some in a row, and ever more seldom."""
-        cut = sample.mode == AUTO and sample.t_s - self._samples[-1].t_s > self._gap_s and not self.at_rest
-        self._restart(sample)
-        if not cut:
-            return None
-        self._broken += 1
-        told = FIRST_TOLD
-        while told < self._broken:
-            told *= THEN
-        return Left(region, under_way=False, broken=told) if told == self._broken else None
 
     def _is_placed(self, sample: LoopSample) -> bool:
         """Whether it is known where the sample lies; only a signal on the bus may be unknown.

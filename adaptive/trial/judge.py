@@ -174,7 +174,19 @@ def judge(
         return _by_posterior(by_loads, seen.posterior, settings, numbers)
     if told or worse:
         return Judgement(TrialFinding.WORSE, "; ".join(filter(None, (told, worse))), numbers)
-    return _not_worse(seen, now, decay, numbers, settings)
+    # Better, as promised, or cut short before that can be said
+    told = f"half-cycle decay ratio {decay.decay:.2f} (limit {decay.decay_limit:.2f}{_beyond(decay)})"
+    if upset is not None and upset.iae_limit >= 0:
+        told += f", IAE {upset.iae:.3g} {_PER[seen.response.sp_changed]} (predicted {upset.iae_promised:.3g})"
+    if seen.response.ending == Ending.SETPOINT:
+        return _by_posterior(f"{seen.response.ending}; until then {told}", seen.posterior, settings, numbers)
+    cheaper = upset is not None and upset.iae < now.iae.low
+    if cheaper and decay.decay <= max(now.decay.best, now.decay.low):
+        return Judgement(TrialFinding.BETTER, f"better than predicted: {told}", numbers)
+    wide = decay.decay_sure is not None and decay.decay_sure > decay.decay_limit
+    beyond = wide or (upset is not None and 0.0 <= upset.iae_limit < upset.iae)
+    head = "not as predicted, but no worse than with the previous gains" if beyond else "as predicted"
+    return Judgement(TrialFinding.AS_PROMISED, f"{head}: {told}", numbers)
 
 
 def _by_loads(seen: JudgedResponse, told: str, settings: TrialSettings, *, robust: bool) -> str:
@@ -190,25 +202,6 @@ def _by_loads(seen: JudgedResponse, told: str, settings: TrialSettings, *, robus
     if seen.posterior and seen.posterior.agreed and in_favour(seen.posterior, settings):
         return f"loads explain this response: {words}"
     return ""
-
-
-def _not_worse(
-    seen: JudgedResponse, now: Expected, swing: SwingNumbers, numbers: TrialNumbers, settings: TrialSettings
-) -> Judgement:
-    """Better, as promised, or cut short before that can be said."""
-    upset = numbers.upset
-    told = f"half-cycle decay ratio {swing.decay:.2f} (limit {swing.decay_limit:.2f}{_beyond(swing)})"
-    if upset is not None and upset.iae_limit >= 0:
-        told += f", IAE {upset.iae:.3g} {_PER[seen.response.sp_changed]} (predicted {upset.iae_promised:.3g})"
-    if seen.response.ending == Ending.SETPOINT:
-        return _by_posterior(f"{seen.response.ending}; until then {told}", seen.posterior, settings, numbers)
-    cheaper = upset is not None and upset.iae < now.iae.low
-    if cheaper and swing.decay <= max(now.decay.best, now.decay.low):
-        return Judgement(TrialFinding.BETTER, f"better than predicted: {told}", numbers)
-    swings = swing.decay_sure is not None and swing.decay_sure > swing.decay_limit
-    beyond = swings or (upset is not None and 0.0 <= upset.iae_limit < upset.iae)
-    head = "not as predicted, but no worse than with the previous gains" if beyond else "as predicted"
-    return Judgement(TrialFinding.AS_PROMISED, f"{head}: {told}", numbers)
 
 
 def _by_posterior(why: str, seen: PosteriorCheck | None, settings: TrialSettings, numbers: TrialNumbers) -> Judgement:
