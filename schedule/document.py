@@ -140,7 +140,6 @@ class TomlSection:
 
 
 def _short(value: object) -> str:
-    """A value for a message of one line."""
     try:
         text = repr(value)
     except ValueError:  # an integer of thousands of digits

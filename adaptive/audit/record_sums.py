@@ -115,7 +115,6 @@ def record_sums(record: Window, by: Measure) -> RecordSums:
 
 
 def _side(numbers: Iterable[float]) -> AtExtreme:
-    """One extreme, of its numbers in their order."""
     return AtExtreme(**dict(zip(OF_A_SIDE, numbers, strict=True)))
 
 

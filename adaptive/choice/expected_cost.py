@@ -205,7 +205,6 @@ def over(ratio: float, settings: ChoiceSettings) -> float:
 
 
 def _step(x: float) -> float:
-    """A step from 0 to 1 at 0, one unit wide."""
     return 1.0 / (1.0 + math.exp(-max(min(x, FARTHEST), -FARTHEST)))
 
 

@@ -208,7 +208,6 @@ def _switched(window: Window, seen: Screening) -> Diagnosis | None:
 
 
 def _obvious(seen: Screening, settings: DiagnosisSettings) -> Diagnosis | None:
-    """What needs no fit."""
     condition, evidence = seen.condition.condition, dict(seen.evidence)
     share = seen.limits.low + seen.limits.high
     if condition in NOT_AT_WORK and condition != Condition.NOT_CONTROLLING:

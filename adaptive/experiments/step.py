@@ -135,7 +135,6 @@ def model_by(method: StepMethod, response: RecordedStep) -> ProcessModel:
 
 
 def _share_time(response: RecordedStep, share: float) -> float:
-    """Time after the step at which a share of the change has happened."""
     level = response.pv_before + share * response.pv_change
     return crossing(response.t_s, response.pv, level, rising=response.pv_change > 0)
 

@@ -186,7 +186,6 @@ def _normal(misfit: Misfit, at: Projection, d: int, prior: Prior | None) -> tupl
 def _step(
     normal: FloatArray, gradient: FloatArray, damping: float, p: FloatArray, low: FloatArray, high: FloatArray
 ) -> FloatArray:
-    """The damped step of the parameters that are free to move."""
     free = ~(((p <= low) & (gradient > 0)) | ((p >= high) & (gradient < 0)))
     step = np.zeros(len(p))
     if not np.any(free):

@@ -11,7 +11,6 @@ BOTH_UP = "absent: none beside those of kc and tau_I, so 4 by default"
 
 
 def _factor(what: str, absent: str) -> float | None:
-    """A limit of one change of one parameter."""
     return setting(None, f"Greatest factor of one change of {what}; {absent}", "1..100", "user", absent=True)
 
 

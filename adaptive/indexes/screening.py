@@ -252,7 +252,6 @@ def _recording(window: Window, limits: AtLimits) -> dict[str, float | None]:
 
 
 def _movement(window: Window, gains: PidGains | None, wave: Regularity | None) -> dict[str, float | None]:
-    """What applies with and without an oscillation."""
     e = window.sp - window.pv
     width = max(int(wave.period / STRETCHES_PER_PERIOD), 1) if wave is not None else 3
     found: dict[str, float | None] = {

@@ -139,7 +139,6 @@ def _gain(value: FloatArray, rate: FloatArray, spacing: FloatArray) -> float:
 
 
 def _gain_of_two(start: float, rate: float, end: float, last_rate: float, length: float) -> float:
-    """The gain for the two ends of one short step."""
     if rate * last_rate >= 0:
         return abs(end - start)
     top = start + 0.5 * rate * length * rate / (rate - last_rate)

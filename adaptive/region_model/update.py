@@ -387,7 +387,6 @@ def _region_model(
     points: tuple[RecordPoint, ...],
     estimate: ModelEstimate,
 ) -> RegionModel:
-    """A region model whose last word is an estimate."""
     told = estimate.plausible, estimate.identifiable, estimate.reason
     return RegionModel(known, records, t_s, None, points, *told, bound_s=estimate.bound_s)
 

@@ -150,7 +150,6 @@ def _cuts(parts: int) -> Iterator[tuple[int, ...]]:
 def _sets(
     grid: PlaceGrid, cut: Sequence[int], cut2: Sequence[int], served: dict[tuple[int, int, int, int], PidGains | None]
 ) -> tuple[PidGains, ...] | None:
-    """A set for every cell; None where one has none."""
     found = []
     for cell in ((a, b, c, d) for (a, b), (c, d) in product(pairwise(cut), pairwise(cut2))):
         if cell not in served:

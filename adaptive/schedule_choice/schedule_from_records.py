@@ -200,7 +200,6 @@ def _evidence(name: str, found: Curves) -> VariableEvidence:
 
 
 def _counted(sets: int, lookup: str, places: Sequence[Place], wanted: float, affordable: float) -> str:
-    """How many sets, in words, and for which places."""
     known, count = sum(place.known for place in places), len(places)
     whom = "every place" if known == count else f"the {known} of {count} places that are known"
     how = f"one set serves {whom}" if sets == 1 else f"{sets} sets, {lookup}"

@@ -101,7 +101,6 @@ def _ranked(
 
 
 def _kept(form: CurveForm, shapes: Sequence[CurveShape]) -> list[int]:
-    """Rows of z that these shapes have."""
     n = len(form.shapes)
     places = [*form.places, form.felt_place, *form.second_places]
     sizes = [*map(int, shapes[:n]), *(int(shape) - 1 for shape in shapes[n:])]

@@ -313,7 +313,6 @@ class BumpPlanner:
         return BumpEvent.PUT_OFF if since > self.settings.announce_s + self.settings.longest_s else None
 
     def _enough(self, sample: LoopSample, around: LoopAround, since: float) -> BumpEvent | None:
-        """Why a bump that is out is to end now, if it is."""
         if sample.mode != LoopMode.AUTO:
             return BumpEvent.NOT_IN_AUTO
         if sample.limited:

@@ -147,7 +147,6 @@ def lasting(samples: Sequence[LoopSample], band: float, settings: GrowthSettings
 
 
 def _growth(waves: list[HalfWave], settings: GrowthSettings) -> Growth | None:
-    """The growth of half waves that are all taken for one swing."""
     times = np.array([wave.t_s for wave in waves])
     heights = np.log([wave.height for wave in waves])
     apart = np.diff(times)

@@ -72,7 +72,6 @@ def _moves(samples: Sequence[LoopSample]) -> list[SetpointMove]:
 
 
 def _taken_for(moves: Sequence[SetpointMove], samples: Sequence[LoopSample]) -> StepSequence | None:
-    """These moves as steps to and fro, if all of them are that."""
     half, whole, closed = moves[0].size, list[int](), None
     wanted, same = -2 * half, SAME * abs(half)
     for move in moves[1:]:

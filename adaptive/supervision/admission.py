@@ -348,7 +348,6 @@ def setpoint_led(window: Window, response: Response, settings: AdmissionSettings
 
 
 def _moved(window: Window, response: Response, settings: AdmissionSettings) -> tuple[AdmissionNumbers, bool]:
-    """How the setpoint moved, and whether it is led."""
     steps = np.abs(np.diff(window.sp))
     moving = steps > settings.still_share * response.band
     began = moving & ~np.concatenate(([False], moving[:-1]))

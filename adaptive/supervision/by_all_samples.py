@@ -379,7 +379,6 @@ def proposal_by_all_samples(found: Findings, own: Outcome, seen: AllSamples) -> 
 
 
 def _proved_by_all_samples(found: Findings, own: Outcome, seen: AllSamples) -> Outcome | None:
-    """The change, where there is one and it is proved."""
     look, book, told = seen.look, seen.book, seen.told
     if look is None or book is None or told is None or told.tuning is None or not told.models:
         return None

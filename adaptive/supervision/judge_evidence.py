@@ -114,7 +114,6 @@ def posterior_of(
 def _both_sets(
     case: ResponseRecord, models: Sequence[Plausible], old: PidGains, settings: RetunerSettings, settled: bool
 ) -> PosteriorCheck:
-    """The check of the tried set and the old one on the models that are believed."""
     before = case.table.with_gains(case.region, old).at(case.region, *case.at)
     allowed = believed(models, settings.guard.believed)
     more = (settings.sample_time_s, settings.setpoint_weight, settings.filter_s)

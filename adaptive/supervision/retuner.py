@@ -185,7 +185,6 @@ class Retuner:
         return self._on_trial(region, self._decision(region, outcome))
 
     def _step(self, sample: LoopSample) -> Step:
-        """A sample while nothing is on trial."""
         seen = self._observe(sample)
         self.sample_number += 1
         if seen is None:
@@ -364,7 +363,6 @@ class Retuner:
         return self.settings.mode_of(region) == Mode.TRIAL
 
     def _into_table(self, region: int, gains: PidGains) -> None:
-        """What is to run in a region comes into the table."""
         if self.table.gains_of(region) != gains:
             self._change(region, gains)
 
@@ -517,7 +515,6 @@ class Retuner:
         return self._on_trial(region, decision)
 
     def _on_trial(self, region: int, decision: Decision) -> Decision:
-        """The decision, with the trial that begins where it asks for a write."""
         now, prediction, proof = decision.gains_after, decision.prediction, decision.proof
         if decision.action != Action.WRITE or now is None or prediction is None:
             return decision

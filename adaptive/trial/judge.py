@@ -218,7 +218,6 @@ def sigma_of(band: float, prediction: Prediction) -> float:
 
 
 def _says_nothing(seen: JudgedResponse, prediction: Prediction, settings: TrialSettings) -> str:
-    """Why the response says nothing at all, if so."""
     response = seen.response
     if seen.outside:
         return f"not judged: {seen.outside}"

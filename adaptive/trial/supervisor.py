@@ -408,5 +408,4 @@ class TrialSupervisor:
 
 
 def _asked(urgent: bool, ordered: bool) -> TrialEvent:
-    """The event with which a change is asked for."""
     return E.ORDERED if ordered else E.URGENT if urgent else E.PROPOSED

@@ -424,7 +424,6 @@ def _is_long(shown: PatternNumbers, settings: PatternSettings) -> bool:
 
 
 def _reading(gains: PidGains, shown: PatternNumbers, settings: PatternSettings) -> _PatternRead:
-    """The rule at the head of this file."""
     second, load = shown.second, shown.after_load
     damping = shown.third.damping if shown.third else 0.0
     overshoots = second.overshoot if second else 0.0, (load.co_overshoot or 0.0) if load else 0.0

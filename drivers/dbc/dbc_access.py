@@ -158,7 +158,6 @@ class DbcAccess:
         known.append(_State(place, states, stop))
 
     def _take_gains(self) -> VendorUnits:
-        """The gains, with what each can hold and which of them go together."""
         slots: list[Slot] = []
         gains = []
         for gain in self._mapping.gains:

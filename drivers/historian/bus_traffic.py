@@ -99,7 +99,6 @@ def _described(name: str) -> tuple[Message, ...]:
 
 
 def _names(message: Message) -> dict[str, str]:
-    """What the signals of a message are called, by their names in the DBC."""
     tagged = {signal.name for signal in message.signals if named(signal.name).role and named(signal.name).tag}
     return {s.name: s.name if s.name in tagged else f"{message.name}.{s.name}" for s in message.signals}
 

@@ -32,7 +32,6 @@ class ParquetShape:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
-    """The file, its faults in one line."""
     try:
         arrow, parquet = import_module("pyarrow"), import_module("pyarrow.parquet")
     except ImportError:

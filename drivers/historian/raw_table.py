@@ -132,7 +132,6 @@ def _read(path: Path, most_bytes: int | None) -> bytes:
 
 
 def _encodings(data: bytes, form: RecordForm) -> list[tuple[str, tuple[Assumption, ...]]]:
-    """Encodings to be tried, in their order, with what is told of each."""
     if form.encoding:
         return [(form.encoding, ())]
     known: list[tuple[str, tuple[Assumption, ...]]] = [("utf-8-sig", ())]

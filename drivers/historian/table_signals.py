@@ -332,7 +332,6 @@ def _stored_by_exception(table: RawTable, place: int) -> bool:
 
 
 def _long(table: RawTable, plain: Mapping[str, list[int]], form: RecordForm, told: list[Assumption]) -> TableSignals:
-    """Signals of a table with a row for each value."""
     tag_at, value_at = (
         _column(table, "tag", form, plain.get("tag", [])),
         _column(table, "value", form, plain.get("value", [])),

@@ -92,7 +92,6 @@ def from_numbers(values: FloatArray, name: str, unit: str, form: RecordForm) -> 
 
 
 def _typical(values: FloatArray) -> float:
-    """The size of the numbers; 0 where there are none."""
     return median(np.abs(values[~np.isnan(values)])) if np.isfinite(values).any() else 0.0
 
 
@@ -203,7 +202,6 @@ def _first_unfit(texts: Sequence[str]) -> int:
 
 
 def _whole(date: str, text: str) -> str:
-    """The format of date and time of a text whose date has this one."""
     found = TIME_OF_DAY.search(text)
     if found is None:
         return date
@@ -265,7 +263,6 @@ def _at(day: datetime, clock: re.Match[str]) -> datetime:
 
 
 def _zone(text: str) -> timezone:
-    """A zone as a stamp writes it: Z, CST, +01:00."""
     if text[0] not in "+-":
         return timezone(timedelta(hours=ZONES[text]))
     offset = timedelta(hours=int(text[1:3]), minutes=int(text[-2:]))

@@ -110,7 +110,6 @@ class PythonModel:
 
 
 def _copied(plant: object) -> Any:  # noqa: ANN401  the user's
-    """A copy of the object; None for one that cannot be copied."""
     try:
         return copy.deepcopy(plant)
     except Exception:  # noqa: BLE001  a user's class may raise anything there
@@ -118,7 +117,6 @@ def _copied(plant: object) -> Any:  # noqa: ANN401  the user's
 
 
 def _number(name: str, value: Any) -> float:  # noqa: ANN401  whatever a user's class returns
-    """A reading as a number, also one of numpy."""
     try:
         return float(value)
     except (TypeError, ValueError, OverflowError):

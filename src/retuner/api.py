@@ -309,7 +309,6 @@ def _length(window: Window) -> int:
 def _followed(
     window: Window, estimate: ModelEstimate, gains: PidGains | None, open_loop: bool, *, by_parts: bool = False
 ) -> Identification:
-    """What was estimated, with the settings that may follow from it."""
     if open_loop or setpoint_changes(window):  # a load whose time is not known bounds no dead time
         estimate = bounded(window, estimate, FitSettings())
     if estimate.identifiable and not open_loop:

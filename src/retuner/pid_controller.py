@@ -444,7 +444,6 @@ def _gains(gains: PidGains) -> PidGains:
 
 
 def _mode(mode: Mode | str) -> Mode:
-    """The mode of that name. Raises ValueError: there is none."""
     if mode not in tuple(Mode):
         raise ValueError(f"mode = {mode!r} is unknown; use {', '.join(Mode)}")
     return Mode(mode)

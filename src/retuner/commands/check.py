@@ -98,7 +98,6 @@ def _device_notes(config: "Config") -> "Iterator[str]":
 
 
 def _axis_text(axis: "Axis") -> str:
-    """What an axis is along, and how it is kept from chattering."""
     parts = [
         f"{axis.signal} on the bus" if axis.signal else axis.variable,
         f"filter {axis.filter_s:g} s" * bool(axis.filter_s),

@@ -49,7 +49,6 @@ def report(options: ReportOptions) -> int:
 
 
 def _one_loop(recorded: RecordedSession, decision: int | None, out: Path | None) -> dict[str, object]:
-    """Write the report of a loop, or the page of one of its decisions; what was written."""
     columns, rows = recorded_columns(recorded), _decided(recorded)
     if decision is None:
         path = out or recorded.folder / REPORT

@@ -259,7 +259,6 @@ class ForeignConfig(Section):
     @model_validator(mode="before")
     @classmethod
     def _with_profile(cls, given: object) -> object:
-        """What the profile says, under what is given."""
         name = given.get("profile") if isinstance(given, Mapping) else None
         if not isinstance(given, Mapping) or not isinstance(name, str) or not name:
             return given

@@ -288,7 +288,6 @@ class ScheduleConfig(Section):
         yield from self._cell_problems()
 
     def _cell_problems(self) -> Iterator[Problem]:
-        """Each cell once, or no cells at all."""
         given = [bool(region.cell) for region in self.region]
         taken: dict[tuple[int, ...], str] = {}
         for i, region in enumerate(self.region):

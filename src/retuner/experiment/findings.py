@@ -187,7 +187,6 @@ def _read_relay(found: ExperimentFindings, window: Window, question: ExperimentQ
 
 
 def _read_swing(found: ExperimentFindings, window: Window, question: ExperimentQuestion) -> None:
-    """Period and decay, and what the gain was with that."""
     try:
         seen = swing(window)
     except ValueError as refusal:

@@ -104,7 +104,6 @@ def _regions(document: Mapping[str, Any], loop: int | None) -> list[MutableMappi
 
 
 def _put(region: MutableMapping[str, Any], table: GainTable, config: Config, same: Same) -> list[str]:
-    """The gains of one region, in the units in which it has them."""
     name = str(region["name"])
     units = config.units_in(next(one for one in config.schedule.regions if one.name == name))
     # The set in the region's units, or in the ideal form, in the fewest digits that make it again

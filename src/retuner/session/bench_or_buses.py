@@ -169,7 +169,6 @@ def virtual_bench(
 
 
 def _answer_at_once(config: SessionConfig, buses: HostBuses, devices: Mapping[int, DeviceOnBus]) -> None:
-    """Have the foreign devices of a bench answer when they are asked."""
     for bus in buses.buses:
         link = bus.link.link if isinstance(bus.link, LinkShare) else bus.link
         if isinstance(link, BenchLink):

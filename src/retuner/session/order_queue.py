@@ -343,7 +343,6 @@ class OrderDesk:
         return "" if now == phase else f"{region} is not {phase}, it is {now}"
 
     def _closed(self, region: str) -> str:
-        """Why nothing may be ordered for a region, empty when it may."""
         names = self._retuner.table.regions.names
         if missing := self._no_such(region):
             return missing

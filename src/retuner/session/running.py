@@ -149,7 +149,6 @@ class _RunningLoop:
         return session
 
     def _rows_before(self) -> Sequence[Row]:
-        """The rows of the session before, of this loop; none where there was none."""
         if self._known is not None or self._before is None:
             return self._known or ()
         return believed_rows(self._before / LEDGER) if (self._before / LEDGER).exists() else ()

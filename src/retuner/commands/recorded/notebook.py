@@ -147,7 +147,6 @@ def _(result: LoopTrend | PidController) -> str:
 
 
 def _kept(record: Window | None) -> Window:
-    """The record of a result. Raises ValueError: it was not kept."""
     if record is None:
         raise ValueError("this result has no record to draw: it was not made by retuner.diagnose or retuner.identify")
     return record
