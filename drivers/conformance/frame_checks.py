@@ -170,24 +170,7 @@ def leases(found: Examination) -> None:
     refused = talk.ack(talk.lease(owner=OTHER))
     got = None if refused is None else (wire.Reason(refused.reason), refused.latest)
     found.expect("LEASE of another host", got, (wire.Reason.NOT_OWNER, talk.owner))
-    _stale_leases(found)
-    _lease_ends(found)
-
-
-def _commands(found: Examination, seq: int, owner: int) -> list[tuple[str, wire.Frame]]:
-    talk, running = found.talk, found.talk.known.seq
-    return [
-        ("STAGE", wire.Stage(0, owner % wire.OWNER_TAG, found.first.kp, seq)),
-        ("CONFIRM", wire.Confirm(running, owner)),
-        ("STORE", wire.Store(running, owner % 256)),
-        ("SETPOINT", wire.Setpoint(talk.counter(), 0.0, owner)),
-        ("MODE", wire.Mode(talk.counter(), LoopMode.AUTO, 0.0, owner)),
-    ]
-
-
-def _stale_leases(found: Examination) -> None:
-    """Requests that must not count: an older counter, another time, another boot."""
-    talk = found.talk
+    # Requests that must not count: an older counter, another time, another boot
     talk.look()
     known = talk.known
     newest = talk.lease()
@@ -200,6 +183,28 @@ def _stale_leases(found: Examination) -> None:
     ):
         request = wire.Lease(talk.owner, stamp, 100, talk.counter())
         found.answers(f"LEASE with the stamp of {name}", wire.Reason.STALE, request)
+    # It runs out by itself, a repeated request does not prolong it, and what was staged goes with it
+    talk.look()
+    request = talk.lease(samples=SHORT_LEASE)
+    talk.say(request, *talk.stage(talk.fresh_seq(), found.first))
+    for _ in range(SHORT_LEASE + 2):
+        talk.samples(1)
+        talk.say(request)
+    talk.look()
+    found.expect("a lease that was repeated and has run out: owner in STATUS", talk.known.owner, 0)
+    found.expect("after it: complete in the staged page", talk.page(wire.Page.STAGED).end.complete, 0)
+    talk.own()
+
+
+def _commands(found: Examination, seq: int, owner: int) -> list[tuple[str, wire.Frame]]:
+    talk, running = found.talk, found.talk.known.seq
+    return [
+        ("STAGE", wire.Stage(0, owner % wire.OWNER_TAG, found.first.kp, seq)),
+        ("CONFIRM", wire.Confirm(running, owner)),
+        ("STORE", wire.Store(running, owner % 256)),
+        ("SETPOINT", wire.Setpoint(talk.counter(), 0.0, owner)),
+        ("MODE", wire.Mode(talk.counter(), LoopMode.AUTO, 0.0, owner)),
+    ]
 
 
 def stamps(found: Examination) -> None:
@@ -216,21 +221,6 @@ def stamps(found: Examination) -> None:
         stamp = lease_stamp(talk.known.epoch, talk.known.sample - back * STAMP_SAMPLES)
         request = wire.Lease(talk.owner, stamp, LEASE_SAMPLES, talk.counter())
         found.expect(f"LEASE with the stamp of {back * STAMP_SAMPLES} samples before", talk.reason(request), wanted)
-
-
-def _lease_ends(found: Examination) -> None:
-    """It runs out by itself, a repeated request does not prolong it, and what was staged goes with it."""
-    talk = found.talk
-    talk.look()
-    request = talk.lease(samples=SHORT_LEASE)
-    talk.say(request, *talk.stage(talk.fresh_seq(), found.first))
-    for _ in range(SHORT_LEASE + 2):
-        talk.samples(1)
-        talk.say(request)
-    talk.look()
-    found.expect("a lease that was repeated and has run out: owner in STATUS", talk.known.owner, 0)
-    found.expect("after it: complete in the staged page", talk.page(wire.Page.STAGED).end.complete, 0)
-    talk.own()
 
 
 def commands(found: Examination) -> None:

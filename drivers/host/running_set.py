@@ -92,7 +92,15 @@ class RunningBelief:
 
     def on_heartbeat(self, heartbeat: Heartbeat) -> bool:
         """Take a life sign; whether it belongs to the epoch that is known."""
-        self._count_doubles(heartbeat)
+        if heartbeat == self._newest:  # two devices that are alike in everything say everything twice
+            self._is_double = True
+            self._doubled += 1
+        elif not self._is_double:
+            self._doubled = 0
+        if heartbeat != self._newest:
+            self._newest, self._is_double = heartbeat, False
+        if self._doubled >= DOUBLED_MAX:
+            self.contradicted()
         self._in_a_row = self._in_a_row + 1 if heartbeat.epoch == self._last_epoch else 1
         self._last_epoch = heartbeat.epoch
         if self._in_a_row >= ALONE:
@@ -111,18 +119,6 @@ class RunningBelief:
         elif heartbeat.sample > self._candidate.sample:  # an older one was sent again
             self._candidate = heartbeat
         return False
-
-    def _count_doubles(self, heartbeat: Heartbeat) -> None:
-        """Two devices that are alike in everything say everything twice."""
-        if heartbeat == self._newest:
-            self._is_double = True
-            self._doubled += 1
-        elif not self._is_double:
-            self._doubled = 0
-        if heartbeat != self._newest:
-            self._newest, self._is_double = heartbeat, False
-        if self._doubled >= DOUBLED_MAX:
-            self.contradicted()
 
     def on_page(self, page: ReadBack) -> Belief:
         """Take a read-back of the running page."""

@@ -224,7 +224,11 @@ class WriteProtocol:
         if self.phase is WritePhase.CLAIMING and (owned or (asked and self._claims == 0)):
             self._move(WriteInput.OWNED)
         elif not owned and self._unsent(now_s):
-            self._lease_gone()
+            if self._may_begin_anew:
+                self._move(WriteInput.LAPSED)
+            elif self.phase is WritePhase.COMMITTING:
+                self._why = "the lease ran out again and again"
+                self._move(WriteInput.EXHAUSTED)
         if self._deadline_s is not None:
             if now_s < self._deadline_s:
                 return []
@@ -244,14 +248,6 @@ class WriteProtocol:
                 return [self._reader.ask(wire.Page.RUNNING)]
             case _:
                 return []
-
-    def _lease_gone(self) -> None:
-        """Begin once more without the lease, or, after too many times, give up: no commit at all."""
-        if self._may_begin_anew:
-            self._move(WriteInput.LAPSED)
-        elif self.phase is WritePhase.COMMITTING:
-            self._why = "the lease ran out again and again"
-            self._move(WriteInput.EXHAUSTED)
 
     def _unsent(self, now_s: float) -> bool:
         """Whether a commit is to be sent now, or gains again: not without the lease."""

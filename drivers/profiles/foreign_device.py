@@ -226,13 +226,27 @@ class ForeignDevice:
             case Heard():
                 self._hear(told.name, told.value, now_s)
             case Stopped():
-                self._on_stop(told)
+                if not self._stopped:  # told once, until it controls again
+                    self._events.append(DeviceStopped(told.reason))
+                self._stopped[told.source] = told.reason
             case NoFault():
                 self._stopped.pop(told.source, None)
             case Started():
-                self._on_restart()
+                self._course.on_restart()  # what it runs is to be read again, or sent again
+                self._boots += 1
+                if self.running is not None:
+                    self.running = None
+                    self._read.clear()
+                    self._ask_s = -math.inf
             case Doubted():
-                self._on_doubt(told.name)
+                self._agreed = 0
+                self._read.clear()
+                if self._up:
+                    self._lose(
+                        LinkState.SILENT,
+                        f"two answers about {told.name} differ (a second node of this number? another master?); "
+                        "nothing is believed or written until they agree",
+                    )
             case Acknowledged(name="setpoint"):
                 self._events += [CommandDone("setpoint")] * self._asked_setpoint
                 self._asked_setpoint = False
@@ -291,32 +305,6 @@ class ForeignDevice:
         known = {"sp": sp, "pv": pv, "co": co, CAN: math.nan, "": 0.0}
         x, x2 = known[self._inputs.variable], known[self._inputs.variable2]
         return LoopSample(t_s, sp, pv, co, LoopMode.AUTO if auto else LoopMode.MANUAL, limited, x, seq, x2)
-
-    def _on_stop(self, stopped: Stopped) -> None:
-        """The controller says that it has stopped; told once, until it controls again."""
-        if not self._stopped:
-            self._events.append(DeviceStopped(stopped.reason))
-        self._stopped[stopped.source] = stopped.reason
-
-    def _on_restart(self) -> None:
-        """The controller has booted: what it runs is to be read again, or sent again."""
-        self._course.on_restart()
-        self._boots += 1
-        if self.running is not None:
-            self.running = None
-            self._read.clear()
-            self._ask_s = -math.inf
-
-    def _on_doubt(self, name: str) -> None:
-        """Two controllers under one number, or forged answers: nothing is believed until they agree for a while."""
-        self._agreed = 0
-        self._read.clear()
-        if self._up:
-            self._lose(
-                LinkState.SILENT,
-                f"two answers about {name} differ (a second node of this number? another master?); "
-                "nothing is believed or written until they agree",
-            )
 
     def _on_gains(self, numbers: Numbers) -> None:
         self._agreed += 1

@@ -147,9 +147,20 @@ class Overhearing:
         self.frames += 1
         match frame:
             case frames.TelemetryPv() | frames.TelemetrySp():
-                return self._telemetry(frame, message.timestamp)
+                if not self._connected:
+                    return None
+                joined = self._joiner.take(frame)
+                if joined is not None:
+                    self._sample_s = message.timestamp
+                return joined
             case frames.Heartbeat():
-                self._heartbeat(frame)
+                known = self._belief.on_heartbeat(frame)
+                if not self._as_host:  # it cannot ask
+                    self._belief.identify()
+                # The full counter, in the epoch that is known; to a bystander who knows of none, in any
+                counts = known or (not self._as_host and self._belief.epoch is None)
+                if counts and self._joiner.set_reference(frame.sample) is Said.CONTRADICTS:
+                    self._belief.contradicted()
             case frames.Identity():
                 # Who is there: the right device, or another one
                 if not mismatch(frame, self._sample_time_s):
@@ -166,23 +177,6 @@ class Overhearing:
             case _:
                 pass
         return None
-
-    def _telemetry(self, half: frames.TelemetryPv | frames.TelemetrySp, now_s: float) -> AssembledSample | None:
-        if not self._connected:
-            return None
-        joined = self._joiner.take(half)
-        if joined is not None:
-            self._sample_s = now_s
-        return joined
-
-    def _heartbeat(self, heartbeat: frames.Heartbeat) -> None:
-        """The full counter, in the epoch that is known; to a bystander who knows of none, in any."""
-        known = self._belief.on_heartbeat(heartbeat)
-        if not self._as_host:  # it cannot ask
-            self._belief.identify()
-        counts = known or (not self._as_host and self._belief.epoch is None)
-        if counts and self._joiner.set_reference(heartbeat.sample) is Said.CONTRADICTS:
-            self._belief.contradicted()
 
     def _page(self, page: ReadBack | None, now_s: float) -> None:
         """What runs, when a whole page of it was read back."""

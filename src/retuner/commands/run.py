@@ -182,7 +182,13 @@ def run(options: "RunOptions") -> int:
     if any(one.adaptation.pretune and (mode or one.adaptation.mode) == Mode.OFF for one in config.loops):
         raise UserError("pretune moves co, but mode off only watches: omit pretune, or give --mode advise")
     if config.simulated:
-        _look_at_benches(options.config, config)
+        for one in config.loops:  # something to run on, and an end
+            whose = f"loop {one.loop.name}: " * config.several
+            if one.scenario is None:
+                raise UserError(
+                    f"{options.config}: {whose}a simulated run needs a [scenario] with its length and steps; add one"
+                )
+            product("plants").plant_of(one)
     speed = real_time_speed(options.speed, simulated=config.simulated)
     folder = options.out or Path(config.output.directory)
     screen: LiveScreen = product("live view").screen_for(options.as_json, answers_only=quiet(), detail=options.verbose)
@@ -203,15 +209,6 @@ def run(options: "RunOptions") -> int:
     except LedgerError:  # it could not be opened
         give_back(fresh)
         raise
-
-
-def _look_at_benches(path: Path, session: SessionConfig) -> None:
-    """Refuse a simulated run that has nothing to run on, or no end."""
-    for config in session.loops:
-        whose = f"loop {config.loop.name}: " * session.several
-        if config.scenario is None:
-            raise UserError(f"{path}: {whose}a simulated run needs a [scenario] with its length and steps; add one")
-        product("plants").plant_of(config)
 
 
 class NothingHappenedError(Exception):

@@ -124,8 +124,11 @@ def feed(retuner: Retuner, kind: str, body: Mapping[str, Any], t_s: float) -> De
             return retuner.abort(TrialEvent[str(body["cause"]).upper()])
         case "restored", _:
             retuner.restored()
-        case (("foreign" | "action"), _):
-            return _set_by_someone(retuner, gains_of(body["gains"]), action=kind == "action")
+        case "action", _:  # somebody has turned the controller's direction, or turned it back
+            return acts(retuner, gains_of(body["gains"]))
+        case "foreign", _:
+            gains = gains_of(body["gains"])
+            return None if retuner.turned else retuner.edited(gains)
         case "answer", _:
             return _answer(retuner, body)
         case "pretune", _:
@@ -135,13 +138,6 @@ def feed(retuner: Retuner, kind: str, body: Mapping[str, Any], t_s: float) -> De
         case _:
             pass
     return None
-
-
-def _set_by_someone(retuner: Retuner, gains: PidGains, *, action: bool) -> Decision | None:
-    """Gains that someone has set at the controller; action : they turn its direction, or turn it back."""
-    if action:
-        return acts(retuner, gains)
-    return None if retuner.turned else retuner.edited(gains)
 
 
 def _answer(retuner: Retuner, body: Mapping[str, Any]) -> Decision:

@@ -162,7 +162,19 @@ def described(found: DiagnosedRecord) -> list[str]:
     told = result.diagnosis
     lines = [f"{_headline(told)}: {told.reason}", *_controller_lines(found)]
     if told.retune and result.settings is not None:
-        lines += _recommended_lines(found)
+        tuning = result.settings.tuning
+        title = "first step" if result.aim is not None else "recommended"
+        tau_c = "" if tuning.tau_c_s is None else f" (tau_c {tuning.tau_c_s:.4g} s)"
+        lines.append(f"{title:<{NAME}}{settings_text(tuning.gains)}{tau_c}")
+        at = len(lines) - 1
+        if result.aim is not None:
+            lines.append(f"{'then':<{NAME}}{settings_text(result.aim.tuning.gains)}, once the next record confirms")
+        if result.room is not None and min(result.room) > 1.0:
+            sure, likely = result.room
+            half = f", {likely:.2g} times on half of them" if likely > sure else ""
+            lines[at] += f"; up to {sure:.2g} times the active gain is safe on every likely process{half}"
+        if found.change is not None:
+            lines.append(f"{'with these':<{NAME}}{change_words(result.foreseen)}; {step_words(found.change)}")
     elif not told.retune:
         lines.append(f"{'recommended':<{NAME}}no change of settings")
     lines += _process_lines(found)
@@ -190,24 +202,6 @@ def _odds(p: float) -> str:
 
 
 SUREST = 0.99  # no probability is told larger
-
-
-def _recommended_lines(found: DiagnosedRecord) -> list[str]:
-    result = found.result
-    assert result.settings is not None
-    tuning = result.settings.tuning
-    title = "first step" if result.aim is not None else "recommended"
-    tau_c = "" if tuning.tau_c_s is None else f" (tau_c {tuning.tau_c_s:.4g} s)"
-    lines = [f"{title:<{NAME}}{settings_text(tuning.gains)}{tau_c}"]
-    if result.aim is not None:
-        lines.append(f"{'then':<{NAME}}{settings_text(result.aim.tuning.gains)}, once the next record confirms")
-    if result.room is not None and min(result.room) > 1.0:
-        sure, likely = result.room
-        half = f", {likely:.2g} times on half of them" if likely > sure else ""
-        lines[0] += f"; up to {sure:.2g} times the active gain is safe on every likely process{half}"
-    if found.change is not None:
-        lines.append(f"{'with these':<{NAME}}{change_words(result.foreseen)}; {step_words(found.change)}")
-    return lines
 
 
 def loop_words(loop: LoopScreen) -> str:
