@@ -3,21 +3,34 @@
 import json
 import math
 from collections.abc import Iterator
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
 from rig import BAD, GOOD, MODEL, PROMISE, Rig
 
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.process.model import LinearProcess, ProcessModel
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import Agreement
-from retuner.adaptive.signals.sample import LoopMode
+from retuner.adaptive.signals.response import Ending, Peak, Response
+from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.supervision.decision import Action, Decision, Mode, Outcome
+from retuner.adaptive.supervision.judge_evidence import prediction_of
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.supervision.state_file import remember, restore
+from retuner.adaptive.trial.batch_responses import ClosedLoop
+from retuner.adaptive.trial.diverging_trial import divergence_begin, divergence_step, law_of
+from retuner.adaptive.trial.judge import sigma_of
+from retuner.adaptive.trial.load_variability import BLOCK, FEWEST_BLOCKS, load_variability, load_variability_there
 from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
-from retuner.adaptive.trial.prediction import predict
+from retuner.adaptive.trial.prediction import Prediction, predict
+from retuner.adaptive.trial.trial import Trial
+from retuner.adaptive.trial.trial_settings import TrialSettings
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable
@@ -144,3 +157,108 @@ def test_a_restart_of_the_host_in_mid_trial_loses_nothing() -> None:
     stand.retuner = restore(memory, stand.retuner.settings)
     assert stand.retuner.trials.to_dict() == twin.retuner.trials.to_dict()
     assert next(stand.run(100)).canonical() == next(twin.run(100)).canonical()
+
+
+# What moves the error while nothing happens: measured before a change, and no evidence against it afterwards.
+
+
+def samples(errors: list[float], revision: int = 0) -> list[LoopSample]:
+    return [LoopSample(float(i), 1.0, 1.0 - e, 0.0, LoopMode.AUTO, 0, 1.0, revision) for i, e in enumerate(errors)]
+
+
+def walk(n: int, std: float, seed: int = 1) -> list[float]:
+    """First order, a correlation time of ten samples."""
+    rng, x, out = np.random.default_rng(seed), 0.0, []
+    for _ in range(n):
+        x = 0.9 * x + std * math.sqrt(1 - 0.81) * float(rng.standard_normal())
+        out.append(x)
+    return out
+
+
+def test_a_load_that_never_rests_is_measured_and_upsets_that_end_are_not() -> None:
+    assert 0.15 < load_variability(samples(walk(2000, 0.3)))[0] < 0.3
+    upset = [0.01 * (-1) ** i for i in range(2000)]
+    for at in range(0, 2000, 500):
+        upset[at : at + 200] = [math.exp(-i / 40) for i in range(200)]
+    assert load_variability(samples(upset))[0] == pytest.approx(0.01, rel=0.05)
+    slow = [math.exp(-i / 800) + 0.01 * (-1) ** i for i in range(2000)]
+    assert load_variability(samples(slow))[0] == pytest.approx(0.01, rel=0.1)
+
+
+def test_only_what_ran_under_the_gains_in_force_counts_and_little_says_nothing() -> None:
+    calm = samples([0.01 * (-1) ** i for i in range(FEWEST_BLOCKS * BLOCK)], revision=1)
+    assert load_variability(samples([(-1.0) ** i for i in range(3000)]) + calm) == pytest.approx((0.01, 0.01), rel=1e-3)
+    assert load_variability(calm[1:]) == (0.0, 0.0)
+    assert load_variability([]) == (0.0, 0.0)
+
+
+def test_how_far_the_error_went_is_that_of_the_quieter_blocks_whatever_its_slope() -> None:
+    slow = [8.0 * math.sin(math.pi * i / 600) for i in range(2400)]
+    wander, moved = load_variability(samples(slow))
+    assert wander < 0.3
+    assert 3.0 < moved < 7.0
+
+
+@pytest.mark.parametrize(
+    ("times", "swings", "seen", "known"),
+    [(0.5, False, (0.2, 0.5), True), (0.5, True, (0.0, 0.0), True), (2.0, True, (0.0, 0.5), True),
+     (2.0, True, (0.0, 0.7), False)],
+)  # fmt: skip
+def test_a_swing_is_the_loops_own_where_less_action_is_the_answer(times, swings, seen, known):
+    """Where gains have not run for long, what was known before them still holds."""
+    now = PidGains(1.0, 0.1)
+    table = GainTable("loop", Regions("sp", "-", ("all",), -1e6, (), 1e6), (now,))
+    model = Plausible(ProcessModel("fopdt", 1.0, 20.0, theta_s=2.0), 0.0)
+    proof: Any = SimpleNamespace(gains=PidGains(times, times * 0.1), allowed=(model,))
+    peaks = tuple(Peak(float(i), (-0.8 if swings else -0.1) ** i) for i in range(3))
+    response = Response(0.0, 60.0, peaks, Ending.COMPLETE, sp_changed=False, band=0.01)
+    rows = samples([0.5 * math.sin(i / 7) for i in range(2000 if known else 100)])
+    last = Trial(new=now, prediction=replace(PROMISE, moved=0.7))
+    found = prediction_of(proof, table, 0, (0.0, 0.0), response, RetunerSettings(1.0, 100.0), rows, last)
+    assert (found.wander > 0.0, found.moved) == (seen[0] > 0.0, pytest.approx(seen[1], rel=0.01))
+
+
+def ran(prediction: Prediction, errors: list[float]) -> int | None:
+    """The sample at which it is a runaway."""
+    law, state = law_of(prediction, TrialSettings(), 60.0), divergence_begin(1.0)
+    for i, sample in enumerate(samples(errors)):
+        state, found = divergence_step(law, state, sample, 0.01)
+        if found is TrialEvent.RUNAWAY:
+            return i
+    return None
+
+
+@pytest.mark.parametrize("before", [{"wander": 0.2}, {"moved": 0.4}])
+def test_what_went_on_before_is_no_runaway_and_what_outgrows_it_is(before: dict[str, float]) -> None:
+    errors = [0.2 * (1 + 0.15 * (i // 20 % 4)) * math.sin(math.pi * i / 20) for i in range(400)]
+    assert ran(PROMISE, errors) is not None
+    known = replace(PROMISE, **before)
+    assert ran(known, errors) is None
+    growing = [0.2 * math.exp(i / 80) * math.sin(math.pi * i / 20) for i in range(600)]
+    assert ran(known, growing) is not None
+
+
+def test_noise_is_the_least_of_it_and_it_is_remembered() -> None:
+    known = replace(PROMISE, wander=0.2, moved=0.3)
+    assert sigma_of(0.4, PROMISE) == pytest.approx(0.1)
+    assert sigma_of(0.4, known) == pytest.approx(0.2)
+    assert Prediction.from_dict(known.to_dict()) == known
+    before = known.to_dict()
+    del before["wander"], before["moved"]
+    assert Prediction.from_dict(before) == PROMISE
+
+
+def integrating(theta_s: float) -> ClosedLoop:
+    """The same loop at every dead time: its response to a load is theta times as large, and as long."""
+    return ClosedLoop(LinearProcess(0.1, (), (), theta_s, 1), PidGains(5.0 / theta_s, 5.0 / theta_s / (8.0 * theta_s)))
+
+
+def test_a_load_that_walks_moves_another_loop_by_its_own_response() -> None:
+    here, there = integrating(1.0), integrating(4.0)
+    assert load_variability_there(0.3, 0.0, here, here) == pytest.approx(0.3)
+    assert load_variability_there(0.3, 0.0, here, there) == pytest.approx(0.3 * 4.0**1.5, rel=1e-6)
+    assert load_variability_there(0.5, 0.3, here, there) == pytest.approx(math.hypot(0.3, 0.4 * 4.0**1.5), rel=1e-6)
+
+
+def test_what_is_noise_is_the_same_everywhere() -> None:
+    assert load_variability_there(0.2, 0.3, integrating(1.0), integrating(4.0)) == 0.2
