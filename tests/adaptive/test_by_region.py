@@ -1,10 +1,10 @@
 """A level whose gain rises with the level: one model for each region, where one for all is wrong everywhere."""
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import answer
 
 from retuner.adaptive.identification.by_region import by_region
 from retuner.adaptive.signals.sample import Window
@@ -72,8 +72,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     path, window = tmp_path / "level.csv", level()
     rows = np.stack([window.t_s, window.sp, window.pv, window.co], axis=1)
     np.savetxt(path, rows, delimiter=",", header="t,sp,pv,co", comments="")
-    assert main(["identify", str(path), "--region-by", "pv", "--bounds", "50", "--json"]) == 0
-    low, high = json.loads(capsys.readouterr().out)["regions"]
+    low, high = answer("identify", path, "--region-by", "pv", "--bounds", "50")["regions"]
     assert low["gains"]["kc"] > 2 * high["gains"]["kc"] > 0
     assert main(["identify", str(path), "--region-by", "pv", "--bounds", "50"]) == 0
     assert "pv 50 to inf" in capsys.readouterr().out

@@ -1,11 +1,11 @@
 """Settings that identify gives hold on the true process: loops of another simulator under a load that wanders."""
 
-import json
 import math
 from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import answer
 
 from retuner.adaptive.cause_odds import other_processes
 from retuner.adaptive.cause_odds.odds_settings import OddsSettings
@@ -106,8 +106,7 @@ def test_where_no_process_is_identified_the_command_tells_what_diagnose_says(tmp
     shown = capsys.readouterr().out
     assert "retuner diagnose, which weighs all processes and loads: AGGRESSIVE" in shown
     assert "recommended  Kc" in shown
-    assert main(["identify", str(path), "--json"]) == 1
-    document = json.loads(capsys.readouterr().out)
+    document = answer("identify", path, status=1)
     assert document["gains"] is None
     assert document["diagnosis"]["cause"] == "aggressive"
     assert 0.5 < document["diagnosis"]["gains"]["kc"] < 2.0

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from command_line import answer
 
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Mode
@@ -166,8 +167,7 @@ def test_a_change_that_was_tried_waits_for_a_person(with_person: Any, capsys: py
 def test_an_order_for_an_ended_session_is_taken_by_the_next_one_and_only_once(with_person, tmp_path, capsys):
     folder, _ = with_person([])
     capsys.readouterr()
-    assert main(["approve", str(folder), "--json"]) == 0
-    listed = json.loads(capsys.readouterr().out)["proposals"]
+    listed = answer("approve", folder)["proposals"]
     assert listed
     assert main(["approve", str(folder), listed[-1]["hash"][:12], *BY]) == 0
     assert "the next run with --out" in capsys.readouterr().out
@@ -216,17 +216,14 @@ def test_what_cannot_be_approved_is_one_line(copy, arguments, told, capsys):
     assert not (copy / "orders").exists()
 
 
-def test_a_hash_says_no_when_its_proposal_has_ended(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_hash_says_no_when_its_proposal_has_ended(copy: Path) -> None:
     config = copy / "config.toml"
     config.write_text(config.read_text().replace("[adaptation]", "[adaptation]\napproval_s = 1.0"))
-    capsys.readouterr()
-    assert main(["approve", str(copy), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["proposals"] == []
+    assert answer("approve", copy)["proposals"] == []
     first = bodies(copy, "decision")[0]
     first.pop("samples")
     digest = digest_of(first)
-    assert main(["approve", str(copy), digest[:10], "--json"]) == 1
-    told = json.loads(capsys.readouterr().out)
+    told = answer("approve", copy, digest[:10], status=1)
     assert told["approved"] is None
     assert "expired" in told["reason"]
 
@@ -242,8 +239,7 @@ def digest_of(document: dict[str, Any]) -> str:
 def test_a_revert_names_a_decision_that_is_there(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["ledger", "revert", str(copy), "--decision", "99"]) == 2
     assert "no such decision" in capsys.readouterr().err
-    assert main(["ledger", "revert", str(copy), "--to", "1", "--json", *BY]) == 0
-    told = json.loads(capsys.readouterr().out)
+    told = answer("ledger", "revert", copy, "--to", "1", *BY)
     assert told["gains"]["kp"] == pytest.approx(5.0)
     assert json.loads(Path(told["file"]).read_text())["decision"] == 1
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from audit_work import dies_or_works
+from command_line import answer
 from plain_recording import read_recording
 
 from retuner.audit.catalogue import Task, catalogue, files_of
@@ -237,8 +238,7 @@ def test_an_audit_goes_on_where_it_was(tmp_path: Path, capsys: pytest.CaptureFix
     table(folder / "A.csv", "t,sp,pv,co", 3)
     (folder / "B.csv").write_text("t,sp,pv,co\n0,1,2,3\n", encoding="utf-8")
     arguments = ["audit", str(folder), "--out", str(out), "--jobs", "1", "--stretches", "1"]
-    assert main([*arguments, "--json"]) == 0
-    document = json.loads(capsys.readouterr().out)
+    document = answer(*arguments)
     assert {r["tag"] for r in document["rows"]} == {"A", "B"}
     with ResultStore(out) as store:
         before = store.done()

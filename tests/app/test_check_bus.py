@@ -1,9 +1,9 @@
 """retuner check refuses what `run` would refuse before it opens a bus: an unknown interface, an unusable key file."""
 
-import json
 from pathlib import Path
 
 import pytest
+from command_line import answer
 
 from retuner.cli import main
 
@@ -27,8 +27,7 @@ def test_every_problem_is_one_line_with_its_place(tmp_path: Path, capsys: pytest
     assert first.startswith(f'{path}:{line} bus.interface = "sockercan" is no interface of python-can; choose from ')
     assert "socketcan" in first
     assert second.startswith(f"{path}:{line + 1} bus.key_file is refused: key file {tmp_path / 'nokey'}: ")
-    assert main(["check", str(path), "--json"]) == 2
-    told = json.loads(capsys.readouterr().out)
+    told = answer("check", path, status=2)
     assert [one["key"] for one in told["problems"]] == ["bus.interface", "bus.key_file"]
 
 

@@ -1,7 +1,6 @@
 """Decisions made elsewhere and entered later: replayed byte for byte; a worker that dies costs one decision."""
 
 import itertools
-import json
 import os
 import pickle
 import signal
@@ -11,13 +10,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from command_line import answer
 from once import once
 
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decide import decide
 from retuner.adaptive.supervision.question import Question
 from retuner.adaptive.supervision.retuner import Retuner
-from retuner.cli import main
 from retuner.decisions.decider import LATE, LOST, Answer, DecideHere, Decider
 from retuner.decisions.worker import DecideInWorker, DecisionWorkers
 from retuner.drivers.clock import SimulatedClock
@@ -53,17 +52,16 @@ def asked(session: Path) -> tuple[Retuner, Question]:
     raise AssertionError("nothing was asked")
 
 
-def test_a_later_decision_is_entered_at_its_sample_and_replayed_byte_for_byte(session, capsys):
+def test_a_later_decision_is_entered_at_its_sample_and_replayed_byte_for_byte(session):
     questions, answers = bodies(session, "question"), bodies(session, "answer")
     assert len(questions) == len(answers) >= 2
-    for question, answer in zip(questions, answers, strict=True):
-        assert (question["asked"], answer["asked"]) == (question["samples"], question["samples"])
-        assert answer["samples"] == question["samples"] + DELAY
+    for question, given in zip(questions, answers, strict=True):
+        assert (question["asked"], given["asked"]) == (question["samples"], question["samples"])
+        assert given["samples"] == question["samples"] + DELAY
     late = [body["delay"] for body in bodies(session, "decision") if "delay" in body]
     assert late == [{"raised": row["asked"], "entered": row["samples"]} for row in answers]
     assert len(bodies(session, "committed")) >= 1
-    assert main(["replay", str(session), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["identical"] is True
+    assert answer("replay", session)["identical"] is True
 
 
 def waited(worker: Decider) -> Answer:

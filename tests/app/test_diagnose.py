@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import answer, refused
 
 from retuner import diagnosing
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
@@ -92,25 +93,10 @@ def loop(path: Path, n: int = 400, noise: float = 0.02, kc: float = 2.0, **spoil
     return path
 
 
-def answer(capsys: Capture, *arguments: str, status: int = 0) -> dict:
-    assert main([*arguments, "--json"]) == status
-    found = capsys.readouterr()
-    assert found.err == ""
-    return json.loads(found.out)
-
-
-def refused(capsys: Capture, *arguments: str) -> str:
-    assert main(list(arguments)) == 2
-    found = capsys.readouterr()
-    assert found.out == ""
-    assert found.err.count("\n") == 1
-    return found.err
-
-
 @pytest.mark.parametrize(("kc", "cause"), [(7.0, "aggressive"), (0.5, "sluggish"), (3.0, "ok")])
-def test_the_whole_way_from_a_file_to_a_cause(tmp_path, capsys, kc, cause):
+def test_the_whole_way_from_a_file_to_a_cause(tmp_path, kc, cause):
     """No double: settings read off the record, rivals fitted, margins judged."""
-    found = answer(capsys, "diagnose", str(loop(tmp_path / "a.csv", kc=kc)), "--co-min", "-50", "--co-max", "100")
+    found = answer("diagnose", str(loop(tmp_path / "a.csv", kc=kc)), "--co-min", "-50", "--co-max", "100")
     assert found["cause"] == cause
     assert found["retune"] == (cause != "ok")
     assert found["gains_in_force"]["forms"]["series"]["kc"] == pytest.approx(kc, rel=0.05)
@@ -124,9 +110,9 @@ def test_the_whole_way_from_a_file_to_a_cause(tmp_path, capsys, kc, cause):
         assert found["gains"] is None
 
 
-def test_json_has_its_keys_and_gains_only_where_a_retune_is_right(tmp_path, capsys, asked):
+def test_json_has_its_keys_and_gains_only_where_a_retune_is_right(tmp_path, asked):
     path = str(loop(tmp_path / "a.csv"))
-    found = answer(capsys, "diagnose", path, "--kc", "2", "--tau-i", "20", "--co-min", "0", "--co-max", "100")
+    found = answer("diagnose", path, "--kc", "2", "--tau-i", "20", "--co-min", "0", "--co-max", "100")
     assert set(found) == KEYS
     assert (found["cause"], found["confidence"], found["retune"]) == ("aggressive", 0.97, True)
     assert found["gains"]["tau_i"] == pytest.approx(20.0)
@@ -140,8 +126,8 @@ def test_json_has_its_keys_and_gains_only_where_a_retune_is_right(tmp_path, caps
     assert (asked[0]["co_min"], asked[0]["co_max"]) == (0.0, 100.0)
 
 
-def test_settings_in_force_are_read_off_the_record_when_they_are_not_given(tmp_path, capsys):
-    found = answer(capsys, "diagnose", str(loop(tmp_path / "a.csv")))
+def test_settings_in_force_are_read_off_the_record_when_they_are_not_given(tmp_path):
+    found = answer("diagnose", str(loop(tmp_path / "a.csv")))
     assert found["gains_in_force"]["source"] == "record"
     assert found["gains_in_force"]["parallel"]["kp"] == pytest.approx(2.0, abs=0.06)
     assert found["gains_in_force"]["parallel"]["ki"] == pytest.approx(0.1, rel=1e-3)
@@ -149,26 +135,26 @@ def test_settings_in_force_are_read_off_the_record_when_they_are_not_given(tmp_p
     assert found["gains_in_force"]["explained"] > 0.999
 
 
-def test_unknown_is_status_1_with_its_json_and_no_gains(tmp_path, capsys, asked):
+def test_unknown_is_status_1_with_its_json_and_no_gains(tmp_path, asked):
     noise = np.random.default_rng(3).normal(size=400)
-    found = answer(capsys, "diagnose", str(loop(tmp_path / "a.csv", co=noise)), status=1)
+    found = answer("diagnose", str(loop(tmp_path / "a.csv", co=noise)), status=1)
     assert asked[0]["gains"] is None
     assert (found["cause"], found["retune"], found["gains"], found["margins"]) == ("unknown", False, None, None)
     assert "explain" in found["gains_in_force"]["reason"]
 
 
 @pytest.mark.usefixtures("asked")
-def test_a_dead_signal_is_named(tmp_path, capsys):
-    found = answer(capsys, "diagnose", str(loop(tmp_path / "a.csv", pv=np.full(400, 3.5e-44))), status=1)
+def test_a_dead_signal_is_named(tmp_path):
+    found = answer("diagnose", str(loop(tmp_path / "a.csv", pv=np.full(400, 3.5e-44))), status=1)
     assert any("dead signal" in note for note in found["notes"])
     assert found["gains"] is None
 
 
-def test_open_loop_records_have_no_controller(capsys, asked):
-    found = answer(capsys, "diagnose", str(HEATER), "--open-loop", status=1)
+def test_open_loop_records_have_no_controller(asked):
+    found = answer("diagnose", str(HEATER), "--open-loop", status=1)
     assert found["gains_in_force"] is None
     assert asked[0]["gains"] is None
-    assert "exclude" in refused(capsys, "diagnose", str(HEATER), "--open-loop", "--kc", "1")
+    assert "exclude" in refused("diagnose", str(HEATER), "--open-loop", "--kc", "1")
 
 
 @pytest.mark.usefixtures("asked")
@@ -216,41 +202,39 @@ def test_another_aim_than_tight_control_has_settings_of_its_own(tmp_path, capsys
         (("--ymax", "4"), "they go with the other aims"),
         (("--aim", "averaging", "--ymax", "4"), "rule averaging has no settings for type"),
     ):
-        assert told in refused(capsys, "diagnose", path, *arguments)
+        assert told in refused("diagnose", path, *arguments)
 
 
 @pytest.mark.slow
-def test_records_of_one_loop_give_one_answer(tmp_path, capsys):
+def test_records_of_one_loop_give_one_answer(tmp_path):
     paths = [str(loop(tmp_path / f"{i}.csv", n=n, kc=7.0)) for i, n in enumerate((400, 300))]
-    one, both = answer(capsys, "diagnose", paths[0]), answer(capsys, "diagnose", *paths)
+    one, both = answer("diagnose", paths[0]), answer("diagnose", *paths)
     assert (one["records"], both["records"]) == (1, 2)
     assert both["cause"] == one["cause"] == "aggressive"
     assert sum(both["causes"].values()) == pytest.approx(1.0)
     assert both["causes"]["aggressive"] >= one["causes"]["aggressive"] - 1e-9
 
 
-def test_files_of_a_signal_each_are_one_record(tmp_path, capsys):
+def test_files_of_a_signal_each_are_one_record(tmp_path):
     whole = np.genfromtxt(loop(tmp_path / "a.csv", kc=7.0), delimiter=",", names=True)
     paths = []
     for name in ("sp", "pv", "co"):
         np.savetxt(tmp_path / f"{name}.csv", np.stack([whole["t"], whole[name]], 1), delimiter=",",
                    header=f"t,{name}", comments="")  # fmt: skip
         paths.append(str(tmp_path / f"{name}.csv"))
-    found = answer(capsys, "diagnose", *paths)
+    found = answer("diagnose", *paths)
     assert (found["records"], found["cause"]) == (1, "aggressive")
 
 
-def test_records_of_two_loops_are_refused(tmp_path, capsys):
+def test_records_of_two_loops_are_refused(tmp_path):
     for tag in ("FIC101", "TIC202"):
         whole = np.genfromtxt(loop(tmp_path / "a.csv"), delimiter=",", names=True)
         np.savetxt(tmp_path / f"{tag}.csv", np.stack([whole[n] for n in whole.dtype.names], 1), delimiter=",",
                    header=f"t,{tag}.SP,{tag}.PV,{tag}.OP", comments="")  # fmt: skip
-    assert "records of 2 loops" in refused(
-        capsys, "diagnose", str(tmp_path / "FIC101.csv"), str(tmp_path / "TIC202.csv")
-    )
+    assert "records of 2 loops" in refused("diagnose", str(tmp_path / "FIC101.csv"), str(tmp_path / "TIC202.csv"))
 
 
-def test_a_part_of_a_record_is_cut_out(tmp_path, capsys):
+def test_a_part_of_a_record_is_cut_out(tmp_path):
     path = str(loop(tmp_path / "a.csv"))
     parts = [read_loop(RecordOptions(files=[Path(path)], begin=begin, end=end)).recording.t_s
              for begin, end in (("", ""), ("100", ""), ("100", "250.5"))]  # fmt: skip
@@ -261,7 +245,7 @@ def test_a_part_of_a_record_is_cut_out(tmp_path, capsys):
         (["--to", "2026-05-04T08:30"], "has no dates; give seconds of the record"),
         (["--from", "395"], "there are 5 samples; the record runs from 0 s to 399 s"),
     ):
-        assert message in refused(capsys, "diagnose", path, *wrong)
+        assert message in refused("diagnose", path, *wrong)
 
 
 def test_a_record_with_dates_is_cut_by_them(tmp_path):
@@ -273,8 +257,8 @@ def test_a_record_with_dates_is_cut_by_them(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_deciding_test_is_told_where_the_odds_are_open(capsys):
-    found = answer(capsys, "diagnose", str(PLANT / "FIC46002_1102_1.csv"))
+def test_the_deciding_test_is_told_where_the_odds_are_open():
+    found = answer("diagnose", str(PLANT / "FIC46002_1102_1.csv"))
     assert found["confidence"] < 0.9
     assert found["next"]["kind"] in {"setpoint", "valve"}
     assert 0.0 < found["next"]["decides"] <= 1.0
@@ -296,16 +280,17 @@ def test_the_deciding_test_is_told_where_the_odds_are_open(capsys):
     ],
 )
 @pytest.mark.usefixtures("asked")
-def test_wrong_options_are_refused_by_both_commands(tmp_path, capsys, arguments, message):
+def test_wrong_options_are_refused_by_both_commands(tmp_path, arguments, message):
     path = str(loop(tmp_path / "a.csv"))
     for command in ("diagnose", "identify"):
-        assert message in refused(capsys, command, path, *arguments)
+        assert message in refused(command, path, *arguments)
 
 
 @pytest.mark.parametrize("command", ["diagnose", "identify"])
-def test_records_too_short_for_anything_are_refused(tmp_path, capsys, command):
-    message = refused(capsys, command, str(loop(tmp_path / "a.csv", n=19)))
-    assert "19 samples are too few for a loop; give at least 20" in message
+def test_records_too_short_for_anything_are_refused(tmp_path, command):
+    assert "19 samples are too few for a loop; give at least 20" in refused(
+        command, str(loop(tmp_path / "a.csv", n=19))
+    )
 
 
 def test_shared_options_are_read_once_for_both_commands(tmp_path):
@@ -324,7 +309,7 @@ def test_identify_draws_its_record(tmp_path, capsys):
     assert "recommended settings" in capsys.readouterr().out
 
 
-def test_identify_takes_the_limits_of_co(tmp_path, capsys):
+def test_identify_takes_the_limits_of_co(tmp_path):
     """co was recorded as the controller wished it; the valve stood at its limit."""
     n = 400
     wish = np.where((np.arange(n) // 80) % 2 == 0, 0.0, 30.0)
@@ -334,8 +319,8 @@ def test_identify_takes_the_limits_of_co(tmp_path, capsys):
         pv[i] = x + 0.02 * rng.normal()
         x += (1 - np.exp(-1 / 20)) * (2.0 * min(wish[i - 4] if i >= 4 else 0.0, 10.0) - x)
     path = str(loop(tmp_path / "a.csv", pv=pv, co=wish))
-    free = answer(capsys, "identify", path, "--open-loop")
-    limited = answer(capsys, "identify", path, "--open-loop", "--co-max", "10")
+    free = answer("identify", path, "--open-loop")
+    limited = answer("identify", path, "--open-loop", "--co-max", "10")
     assert free["model"]["k"] == pytest.approx(2 / 3, rel=0.02)
     assert limited["model"]["k"] == pytest.approx(2.0, rel=0.02)
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import answer, refused
 from shared_time import SharedTime
 
 from retuner.adaptive.experiments.phases import Phase
@@ -189,7 +190,7 @@ def test_settings_beyond_the_configured_limits_are_not_written_even_when_confirm
 @pytest.mark.slow
 @pytest.mark.parametrize("phase", [Phase.RESTING, Phase.PREPARING, Phase.EXCITING, Phase.RESTORING])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_ctrl_c_restores_and_says_so(phase, number, loop, monkeypatch, capsys):
+def test_ctrl_c_restores_and_says_so(phase, number, loop, monkeypatch):
     told = OnDemandExperiment._on_sample
     sent = []
 
@@ -206,7 +207,6 @@ def test_ctrl_c_restores_and_says_so(phase, number, loop, monkeypatch, capsys):
     assert summary["restored"] is True
     assert summary["applied"] is False
     assert summary["touched"] == (phase is not Phase.RESTING)
-    capsys.readouterr()
 
 
 def test_an_abort_is_the_answer_no(loop: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -289,12 +289,8 @@ ON_DEMAND_REFUSED = [
 
 
 @pytest.mark.parametrize(("arguments", "words"), ON_DEMAND_REFUSED)
-def test_bad_options_are_one_line_status_2_and_leave_nothing_behind(arguments, words, loop, capsys):
-    assert main(["experiment", arguments[0], str(loop), *arguments[1:], "--json"]) == 2
-    shown = capsys.readouterr()
-    assert shown.out == ""
-    assert words in shown.err
-    assert shown.err.count("\n") == 1
+def test_bad_options_are_one_line_status_2_and_leave_nothing_behind(arguments, words, loop):
+    assert words in refused("experiment", arguments[0], loop, *arguments[1:], "--json")
     assert not (loop.parent / "out-experiment").exists()
 
 
@@ -417,8 +413,7 @@ def test_the_heater_step_is_identified_and_drawn(tmp_path: Path, capsys: pytest.
 
 
 def test_an_export_with_units_and_stamps_is_the_same_experiment(tmp_path, capsys):
-    assert main(["experiment", "step", "--from", str(HEATER), "--json"]) == 0
-    model = dict(json.loads(capsys.readouterr().out)["model"])
+    model = dict(answer("experiment", "step", "--from", HEATER)["model"])
     names, *rows = [line.split(",") for line in HEATER.read_text().splitlines()]
     assert names[0] == "t"
     begin = datetime(2024, 3, 14, 6, tzinfo=UTC)
@@ -497,14 +492,10 @@ def test_a_swing_that_is_not_sustained_says_where_to_go(kc, words, tmp_path, cap
         ("step", "t,pv,co\n0,1,1\n1,2,x\n2,3,1\n", ":3: co"),
     ],
 )
-def test_recordings_that_cannot_be_used_are_one_line(kind, text, words, tmp_path, capsys):
+def test_recordings_that_cannot_be_used_are_one_line(kind, text, words, tmp_path):
     file = tmp_path / "bad.csv"
     file.write_text(text, encoding="utf-8")
-    assert main(["experiment", kind, "--from", str(file), "--json"]) == 2
-    shown = capsys.readouterr()
-    assert shown.out == ""
-    assert words in shown.err
-    assert shown.err.count("\n") == 1
+    assert words in refused("experiment", kind, "--from", file, "--json")
 
 
 def test_a_short_record_of_noise_carries_no_settings(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,11 +1,11 @@
 """Controllers that are not ours, from the configuration to the ledger: checked, run, refused in one clear line."""
 
-import json
 import sys
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from command_line import answer
 
 from retuner.adaptive.trial.phase import TrialEvent, TrialPhase, after
 from retuner.cli import main
@@ -28,9 +28,8 @@ def rows(folder: Path, kind: str) -> list[dict[str, object]]:
         return [dict(row.body) for row in ledger.rows() if row.kind == kind]
 
 
-def run(config: Path, out: Path, capsys: pytest.CaptureFixture[str], *more: str) -> dict[str, object]:
-    assert main(["run", str(config), "--out", str(out), "--json", "--no-compare", *more]) == 0
-    result: dict[str, object] = json.loads(capsys.readouterr().out)
+def run(config: Path, out: Path, *more: str) -> dict[str, object]:
+    result: dict[str, object] = answer("run", config, "--out", out, "--no-compare", *more)
     return result
 
 
@@ -43,13 +42,13 @@ def test_the_examples_are_short_and_those_that_init_writes(profile: str, tmp_pat
 
 
 @pytest.mark.slow
-def test_a_set_of_three_messages_is_written_in_an_order_that_was_proved(tmp_path, capsys):
+def test_a_set_of_three_messages_is_written_in_an_order_that_was_proved(tmp_path):
     text = (EXAMPLES / "cia404.toml").read_text().replace("duration_s = 6000.0", "duration_s = 900.0")
     text = text.replace("kc = 2.0", "kc = 3.2").replace("tau_i_s = 120.0", "tau_i_s = 50.0")
     config = tmp_path / "loop.toml"
     steps = "    { at_s = 0.0, sp = 150.0 }, { at_s = 100.0, sp = 170.0 },\n]\n"
     config.write_text(text[: text.index("    { at_s = 0.0")] + steps)
-    run(config, tmp_path / "run", capsys)
+    run(config, tmp_path / "run")
     orders = rows(tmp_path / "run", "order_of_writes")
     committed = rows(tmp_path / "run", "committed")
     assert committed
@@ -57,8 +56,7 @@ def test_a_set_of_three_messages_is_written_in_an_order_that_was_proved(tmp_path
     assert 1.0 < float(str(orders[0]["ms_between"])) < 2.1
     decision = next(row for row in rows(tmp_path / "run", "decision") if row["gains_after"])
     assert committed[0]["gains"] == decision["gains_after"]  # what was proved is what the node holds, bit for bit
-    assert main(["replay", str(tmp_path / "run"), "--json"]) == 0
-    again = json.loads(capsys.readouterr().out)
+    again = answer("replay", tmp_path / "run")
     assert (again["identical"], again["samples"]) == (True, rows(tmp_path / "run", "end")[0]["samples"])
 
 
@@ -67,13 +65,13 @@ def test_a_log_without_notes_of_samples_says_so(tmp_path: Path, capsys: pytest.C
     (tmp_path / "loop.toml").write_text(text[: text.index("steps = [")] + "steps = [{ at_s = 0.0, sp = 0.0 }]\n")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(CanLink, "note", lambda *_: None)  # as releases before did
-        run(tmp_path / "loop.toml", tmp_path / "run", capsys)
+        run(tmp_path / "loop.toml", tmp_path / "run")
     assert main(["replay", str(tmp_path / "run")]) == 1
     assert "no sample is noted in it" in capsys.readouterr().out
 
 
 @pytest.mark.slow
-def test_without_read_back_and_without_the_users_word_it_is_advice(tmp_path, capsys):
+def test_without_read_back_and_without_the_users_word_it_is_advice(tmp_path):
     text = (EXAMPLES / "odrive.toml").read_text().replace('accept = ["no_read_back"]', "")
     config = tmp_path / "loop.toml"
     config.write_text(
@@ -81,7 +79,7 @@ def test_without_read_back_and_without_the_users_word_it_is_advice(tmp_path, cap
             text[text.index("{ at_s = 50.0") : text.index("]\n", text.index("{ at_s = 50.0"))], ""
         )
     )
-    result = run(config, tmp_path / "run", capsys)
+    result = run(config, tmp_path / "run")
     assert result["decisions"]
     for kind in ("intent", "committed", "trial"):
         assert rows(tmp_path / "run", kind) == []

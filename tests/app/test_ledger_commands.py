@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from command_line import answer
 
 from retuner.cli import main
 from retuner.ledger import LedgerReader
@@ -34,9 +35,8 @@ def broken(session: Path, tmp_path: Path) -> Path:
 
 
 @pytest.mark.slow
-def test_every_row_is_told(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["ledger", "show", str(session), "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
+def test_every_row_is_told(session: Path) -> None:
+    found = answer("ledger", "show", session)
     assert found["ok"] is True
     rows = found["rows"]
     with LedgerReader(session / "ledger.sqlite") as ledger:
@@ -66,10 +66,9 @@ def test_a_wide_terminal_gets_a_table(session, capsys, monkeypatch):
     assert head.split()[:5] == ["row", "time", "[s]", "what", "who"]
 
 
-def test_rows_are_selected(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_rows_are_selected(session: Path) -> None:
     def rows(*arguments: str) -> list[dict[str, object]]:
-        assert main(["ledger", "show", str(session), "--json", *arguments]) == 0
-        found: list[dict[str, object]] = json.loads(capsys.readouterr().out)["rows"]
+        found: list[dict[str, object]] = answer("ledger", "show", session, *arguments)["rows"]
         return found
 
     assert {row["kind"] for row in rows("--kind", "committed")} == {"committed"}
@@ -118,8 +117,7 @@ def test_an_export_has_everything(session: Path, tmp_path: Path, capsys: pytest.
 def test_a_broken_chain_is_found_and_named_and_what_is_before_it_is_shown(broken, tmp_path, capsys):
     assert main(["ledger", "verify", str(broken)]) == 1
     assert "broken: row 4 was changed after it was written; 3 rows before it hold" in capsys.readouterr().out
-    assert main(["ledger", "show", str(broken), "--json"]) == 1
-    found = json.loads(capsys.readouterr().out)
+    found = answer("ledger", "show", broken, status=1)
     assert [row["row"] for row in found["rows"]] == [1, 2, 3]
     assert "row 4 was changed" in found["reason"]
     assert main(["ledger", "export", str(broken), "--jsonl", str(tmp_path / "x.jsonl")]) == 1
@@ -154,8 +152,7 @@ def test_the_session_says_what_it_was_made_with(session: Path) -> None:
 
 def test_the_ledger_reads_as_one_argument(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """What was seen and what explains it; what was done names its decision; its trial says what came of it."""
-    assert main(["ledger", "show", str(session), "--json"]) == 0
-    rows = json.loads(capsys.readouterr().out)["rows"]
+    rows = answer("ledger", "show", session)["rows"]
     made = next(row for row in rows if row["kind"] == "decision" and row["new"])
     name = made["why"].split(",")[0]
     assert made["evidence"].split(" | ")[0].endswith("response")
@@ -165,8 +162,7 @@ def test_the_ledger_reads_as_one_argument(session: Path, capsys: pytest.CaptureF
     assert next(row["why"] for row in after if row["kind"] == "trial") == f"{name} is on trial"
     judged = next(row for row in after if row["kind"] == "judged")
     assert judged["why"].startswith(f"the trial of {name} ")
-    assert main(["ledger", "show", str(session), "--json", "--decision", name.split()[1]]) == 0
-    told = json.loads(capsys.readouterr().out)["rows"]
+    told = answer("ledger", "show", session, "--decision", name.split()[1])["rows"]
     assert [row["kind"] for row in told].count("judged") == 1  # what came of it, though other decisions lie between
     assert judged["row"] in {row["row"] for row in told}
     alone = ["ledger", "show", str(session), "--json", "--kind", "judged"]

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from command_line import answer
 
 from retuner.adaptive.decision_numbers import Basis
 from retuner.adaptive.experiments.phases import AbortCause, Phase
@@ -95,8 +96,7 @@ def test_the_first_settings_come_from_the_step_and_a_replay_decides_them_again(l
     assert len(bodies(folder, "pretune")) == 1
     assert (folder / "pretune-bus.blf").exists()
     assert "pretune = true" in (folder / "config.toml").read_text()
-    assert main(["replay", str(folder), "--json"]) == 0
-    replayed = json.loads(capsys.readouterr().out)
+    replayed = answer("replay", folder)
     assert replayed["identical"]
     assert replayed["decisions"][0]["basis"] == "pretune"
 

@@ -1,26 +1,22 @@
 """retuner reduce: what it prints, and what it refuses in one line."""
 
-import json
-
 import pytest
+from command_line import answer, refused
 
 from retuner.cli import main
 
 E2 = ["--num-t", "-0.3,0.08", "--den-t", "2,1,0.4,0.2,0.05,0.05,0.05"]
 
 
-def test_json_is_one_document_with_the_model(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["reduce", *E2, "--order", "2", "--k", "3", "--json"]) == 0
-    model = json.loads(capsys.readouterr().out)["model"]
+def test_json_is_one_document_with_the_model() -> None:
+    model = answer("reduce", *E2, "--order", "2", "--k", "3")["model"]
     assert model["type"] == "sopdt"
     assert [model[x] for x in ("k", "tau1", "tau2", "theta")] == pytest.approx([3.0, 2.0, 1.2, 0.77])
 
 
-def test_options_may_be_repeated_or_listed(capsys: pytest.CaptureFixture[str]) -> None:
-    outputs = []
-    for den in (["--den-t", "5", "--den-t", "3", "--den-t", "0.5"], ["--den-t", "5 3 0.5"], ["--den-t", "0.5,3,5"]):
-        assert main(["reduce", "--num-t", "-0.1", *den, "--json"]) == 0
-        outputs.append(json.loads(capsys.readouterr().out)["model"])
+def test_options_may_be_repeated_or_listed() -> None:
+    given = (["--den-t", "5", "--den-t", "3", "--den-t", "0.5"], ["--den-t", "5 3 0.5"], ["--den-t", "0.5,3,5"])
+    outputs = [answer("reduce", "--num-t", "-0.1", *den)["model"] for den in given]
     assert outputs[0] == outputs[1] == outputs[2]
     assert outputs[0]["theta"] == pytest.approx(2.1)
 
@@ -57,9 +53,5 @@ def test_integrating_type_names_the_unit_of_its_gain(capsys: pytest.CaptureFixtu
         (["--den-t", "1", "--leads", "some"], "--leads some"),
     ],
 )
-def test_bad_input_is_one_line_and_status_2(arguments, words, capsys):
-    assert main(["reduce", *arguments]) == 2
-    shown = capsys.readouterr()
-    assert shown.out == ""
-    assert words in shown.err
-    assert shown.err.count("\n") == 1
+def test_bad_input_is_one_line_and_status_2(arguments, words):
+    assert words in refused("reduce", *arguments)

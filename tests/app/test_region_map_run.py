@@ -10,6 +10,7 @@ from typing import Any
 import can
 import numpy as np
 import pytest
+from command_line import answer
 from once import once
 
 from retuner.adaptive.signals.sample import LoopSample
@@ -258,8 +259,7 @@ def test_each_loop_has_its_mode_its_folder_and_its_rows(session: Path) -> None:
 
 @pytest.mark.slow
 def test_every_loop_is_replayed_byte_for_byte(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["replay", str(session), "--json"]) == 0
-    loops = json.loads(capsys.readouterr().out)["loops"]
+    loops = answer("replay", session)["loops"]
     assert [(one["loop"], one["identical"], one["compared"]) for one in loops] == [(SLOW, True, 2), (FAST, True, 1)]
     assert [one["samples"] for one in loops] == [body["samples"] for body in (over(session, SLOW), over(session, FAST))]
     assert main(["replay", str(session), "--loop", FAST]) == 0
@@ -282,15 +282,12 @@ def test_a_question_about_one_of_several_loops_names_it(session: Path, capsys: p
     assert main(["ledger", "revert", str(session), "--decision", "1"]) == 2
     assert main(["ledger", "show", str(session), "--decision", "1"]) == 2
     capsys.readouterr()
-    assert main(["ledger", "show", str(session), "--loop", FAST, "--kind", "decision", "--json"]) == 0
-    rows = json.loads(capsys.readouterr().out)["rows"]
+    rows = answer("ledger", "show", session, "--loop", FAST, "--kind", "decision")["rows"]
     assert [row["loop"] for row in rows] == [FAST]
 
 
-def test_a_proposal_is_approved_by_its_hash_whose_loop_it_is_of(session, capsys):
-    capsys.readouterr()
-    assert main(["approve", str(session), "--json"]) == 0
-    slow, fast = json.loads(capsys.readouterr().out)["loops"]
+def test_a_proposal_is_approved_by_its_hash_whose_loop_it_is_of(session):
+    slow, fast = answer("approve", session)["loops"]
     assert slow["proposals"] == []
     (proposal,) = fast["proposals"]
     assert main(["approve", str(session), proposal["hash"][:8], "--by", "Ada"]) == 0
@@ -301,12 +298,10 @@ def test_a_proposal_is_approved_by_its_hash_whose_loop_it_is_of(session, capsys)
 
 
 @pytest.mark.slow
-def test_the_report_is_made_again_with_its_index(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_report_is_made_again_with_its_index(session: Path) -> None:
     for path in session.glob("**/report.html"):
         path.unlink()
-    capsys.readouterr()
-    assert main(["report", str(session), "--json"]) == 0
-    assert len(json.loads(capsys.readouterr().out)["loops"]) == 2
+    assert len(answer("report", session)["loops"]) == 2
     assert len(list(session.glob("**/report.html"))) == 3
 
 

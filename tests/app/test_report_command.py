@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from command_line import answer
 
 from retuner.cli import main
 from retuner.decision_page.row_values import number, part
@@ -31,10 +32,8 @@ def first_with_verdict(session: Path) -> dict[str, object]:
 
 @pytest.mark.slow
 @pytest.mark.uncounted
-def test_the_report_is_made_again_with_the_same_decisions(session: Path, tmp_path: Path, capsys) -> None:
-    capsys.readouterr()
-    assert main(["report", str(session), "--out", str(tmp_path / "again.html"), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
+def test_the_report_is_made_again_with_the_same_decisions(session: Path, tmp_path: Path) -> None:
+    told = answer("report", session, "--out", tmp_path / "again.html")
     assert told["decisions"] == len(bodies(session, "decision"))
     again, once = ((folder / name).read_text() for folder, name in ((tmp_path, "again.html"), (session, "report.html")))
 

@@ -16,6 +16,7 @@ import can
 import cantools
 import numpy as np
 import pytest
+from command_line import answer
 from once import once
 from two_regions import two_regions
 
@@ -163,9 +164,8 @@ def test_gains_of_the_wrong_sign_are_told_before_anything_runs(quick: Path, caps
 
 @pytest.mark.slow
 @pytest.mark.uncounted
-def test_advise_changes_nothing(quick: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["run", str(quick), "--mode", "advise", "--no-compare", "--json"]) == 0
-    document = json.loads(capsys.readouterr().out)
+def test_advise_changes_nothing(quick: Path) -> None:
+    document = answer("run", quick, "--mode", "advise", "--no-compare")
     assert {d["action"] for d in document["decisions"]} <= {"advise", "none"}
     assert "advise" in {d["action"] for d in document["decisions"]}
     assert document["revision"] == 0

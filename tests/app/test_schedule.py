@@ -7,6 +7,7 @@ from typing import cast
 
 import numpy as np
 import pytest
+from command_line import answer, refused, run
 
 import retuner
 from retuner.adaptive.schedule_choice.borders_of_two_variables import Cells
@@ -67,10 +68,9 @@ def level(path: Path, n: int = 600) -> Path:
 
 
 @pytest.mark.slow
-def test_a_schedule_from_one_command_is_taken_by_check_and_export(tmp_path: Path, capsys: Capture) -> None:
+def test_a_schedule_from_one_command_is_taken_by_check_and_export(tmp_path: Path) -> None:
     record, out = level(tmp_path / "level.csv"), tmp_path / "out"
-    assert main(["schedule", str(record), "--by", "pv", "--unit", "%", "--out", str(out), "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
+    found = answer("schedule", record, "--by", "pv", "--unit", "%", "--out", out)
     assert found["schema"] == 1
     assert found["variable"] == "pv"
     assert len(found["regions"]) == 1
@@ -110,13 +110,9 @@ def test_records_that_say_nothing_end_with_one_line_or_no(tmp_path: Path, capsys
         (["--by", "pv", "--low", "70"], "the records visit"),
     ],
 )
-def test_wrong_options_are_one_line(options: list[str], named: str, tmp_path: Path, capsys: Capture) -> None:
+def test_wrong_options_are_one_line(options: list[str], named: str, tmp_path: Path) -> None:
     record = level(tmp_path / "level.csv", 60)
-    assert main(["schedule", str(record), *options]) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert said.err.count("\n") == 1
-    assert named in said.err
+    assert named in refused("schedule", record, *options)
 
 
 @pytest.mark.slow
@@ -188,9 +184,9 @@ def test_a_column_of_the_record_may_be_the_variable_and_others_the_gains(tmp_pat
     wide.write_text("\n".join([f"{rows[0]},FI104,KP,KI", *more]) + "\n")
     options = ["--by", "FI104", "--gain-columns", "KP,KI", "--co-max", "100"]
 
-    assert main(["schedule", str(wide), *options, "--json"]) == 0
-
-    found = json.loads(capsys.readouterr().out)
+    done = run("schedule", wide, *options, "--json")
+    assert done.returncode == 0
+    found = json.loads(done.stdout)
     assert [e["variable"] for e in found["candidates"]] == ["FI104"]
     assert main(["schedule", str(wide), "--by", "FI105"]) == 2
     assert "FI105" in capsys.readouterr().err

@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from command_line import answer
 
 from retuner.adaptive.setpoint_bumps.bump_planner import BumpPhase
 from retuner.adaptive.setpoint_bumps.bump_settings import BumpSettings
@@ -89,13 +90,12 @@ def test_without_leave_the_setpoint_is_never_moved(tmp_path: Path, capsys: pytes
 
 
 @pytest.mark.slow
-def test_the_example_bumps_to_and_fro_within_its_budget_and_tells_it_beforehand(tmp_path, capsys):
+def test_the_example_bumps_to_and_fro_within_its_budget_and_tells_it_beforehand(tmp_path):
     text = (Path(__file__).parents[2] / "examples" / "bumps.toml").read_text(encoding="utf-8")
     early = [line for line in text.splitlines() if "at_s" not in line or float(line.split()[3].strip(",")) < SHORT_S]
     short, run = tmp_path / "bumps.toml", tmp_path / "run"
     short.write_text("\n".join(early).replace("9600.0", f"{SHORT_S}").replace("after_h = 0.5 ", "after_h = 0.2 "))
-    assert main(["run", str(short), "--no-compare", "--out", str(run), "--json"]) == 0
-    committed = [d for d in json.loads(capsys.readouterr().out)["decisions"] if d["action"] == "commit"]
+    committed = [d for d in answer("run", short, "--no-compare", "--out", run)["decisions"] if d["action"] == "commit"]
     assert "setpoint steps to and fro" in committed[0]["reason"]
     rows = [row for row in bodies(run, "bump") if row["cause"] in {"due", "begun", "back"}]
     assert [row["cause"] for row in rows] == ["due", "begun", "back"]

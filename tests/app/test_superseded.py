@@ -1,12 +1,12 @@
 """A newer proposal of a region supersedes the older ones: in the list, for who approves, and for the session."""
 
-import json
 import shutil
 import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
+from command_line import answer
 
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.cli import main
@@ -39,17 +39,15 @@ def order_of(digest: str) -> Order:
     return Order(OrderKind.APPROVE, "Ada", "2030-01-31T12:00:00Z", digest=digest)
 
 
-def listed(session: Path, capsys: pytest.CaptureFixture[str], *more: str) -> dict[str, Any]:
-    capsys.readouterr()
-    assert main(["approve", str(session), "--json", *more]) == 0
-    found: dict[str, Any] = json.loads(capsys.readouterr().out)
+def listed(session: Path, *more: str) -> dict[str, Any]:
+    found: dict[str, Any] = answer("approve", session, *more)
     return found
 
 
 def test_the_list_shows_the_newest_and_on_request_all(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (newest,) = (told := listed(copy, capsys))["proposals"]
+    (newest,) = (told := listed(copy))["proposals"]
     assert (newest["decision"], newest["superseded_by"], told["superseded"]) == (2, None, 1)
-    older, again = listed(copy, capsys, "--all")["proposals"]
+    older, again = listed(copy, "--all")["proposals"]
     assert again == newest
     assert older["superseded_by"] == newest["hash"]
     assert main(["approve", str(copy)]) == 0
@@ -63,7 +61,7 @@ def test_the_list_shows_the_newest_and_on_request_all(copy: Path, capsys: pytest
 
 
 def test_a_superseded_proposal_is_refused_with_its_successor(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    older, newest = listed(copy, capsys, "--all")["proposals"]
+    older, newest = listed(copy, "--all")["proposals"]
     assert main(["approve", str(copy), older["hash"][:8]]) == 1
     text = capsys.readouterr().out
     assert text == f"{older['hash'][:8]} is not approved: {REFUSED}{newest['hash'][:8]}\n"

@@ -1,12 +1,12 @@
 """retuner tune and identify: the numbers, the JSON contract, the exit statuses, the one line on bad input."""
 
-import json
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import answer, refused
 
 import retuner
 from retuner import PidController, PidGains, ProcessModel, ProcessType, identify, tune
@@ -16,26 +16,11 @@ HEATER = Path(__file__).parents[1] / "data" / "heater" / "open_loop_step.csv"
 Capture = pytest.CaptureFixture[str]
 
 
-def answer(capsys: Capture, *arguments: str, status: int = 0) -> dict:
-    assert main([*arguments, "--json"]) == status
-    found = capsys.readouterr()
-    assert found.err == ""
-    return json.loads(found.out)
-
-
-def refused(capsys: Capture, *arguments: str) -> str:
-    assert main(list(arguments)) == 2
-    found = capsys.readouterr()
-    assert found.out == ""
-    assert found.err.count("\n") == 1
-    return found.err
-
-
-def test_tune_has_null_for_no_integral_time_and_for_infinite_margins(capsys: Capture) -> None:
-    delay = answer(capsys, "tune", "--type", "delay", "--k", "2", "--theta", "3")
+def test_tune_has_null_for_no_integral_time_and_for_infinite_margins() -> None:
+    delay = answer("tune", "--type", "delay", "--k", "2", "--theta", "3")
     assert delay["gains"] == {"kc": 0.0, "tau_i": None, "tau_d": 0.0}
     assert delay["parallel"] == pytest.approx({"kp": 0.0, "ki": 1 / 12, "kd": 0.0})
-    assert answer(capsys, "tune", "--type", "fopdt", "--k", "1", "--tau1", "5", "--tau-c", "1")["margins"]["gm"] is None
+    assert answer("tune", "--type", "fopdt", "--k", "1", "--tau1", "5", "--tau-c", "1")["margins"]["gm"] is None
 
 
 def test_tune_reads_well(capsys: Capture) -> None:
@@ -52,12 +37,12 @@ def test_tune_reads_well(capsys: Capture) -> None:
 
 
 @pytest.mark.parametrize("command", ["identify", "diagnose"])
-def test_a_form_that_there_is_not_is_refused_also_where_no_gains_are_given(capsys: Capture, command: str) -> None:
-    assert "--form cubic: give one of series" in refused(capsys, command, str(HEATER), "--open-loop", "--form", "cubic")
+def test_a_form_that_there_is_not_is_refused_also_where_no_gains_are_given(command: str) -> None:
+    assert "--form cubic: give one of series" in refused(command, str(HEATER), "--open-loop", "--form", "cubic")
 
 
-def test_identify_the_real_heater(capsys: Capture) -> None:
-    found = answer(capsys, "identify", str(HEATER), "--open-loop")
+def test_identify_the_real_heater() -> None:
+    found = answer("identify", str(HEATER), "--open-loop")
     assert found["identifiable"] is True
     model = found["model"]
     assert model["type"] == "sopdt"  # heater and sensor; the reference fit is first order: 0.361, 138 s, 14.2 s
@@ -92,7 +77,7 @@ def closed_loop(path: Path, noise: float = 0.01, names: tuple[str, ...] = ("t", 
 def test_identify_in_closed_loop_with_renamed_columns_and_gains_in_force(tmp_path: Path, capsys: Capture) -> None:
     path = closed_loop(tmp_path / "loop.csv", names=("time", "target", "level", "valve"))
     found = answer(
-        capsys, "identify", str(path), "--columns", "t=time,sp=target,pv=level,co=valve", "--kc", "2", "--tau-i", "20"
+        "identify", str(path), "--columns", "t=time,sp=target,pv=level,co=valve", "--kc", "2", "--tau-i", "20"
     )
     assert found["model"]["k"] == pytest.approx(1.0, rel=0.05)
     assert found["model"]["theta"] == pytest.approx(3.0, rel=0.1)
@@ -101,7 +86,7 @@ def test_identify_in_closed_loop_with_renamed_columns_and_gains_in_force(tmp_pat
     assert "recommended settings" in capsys.readouterr().out
 
 
-def test_identify_says_no_with_status_1(tmp_path: Path, capsys: Capture) -> None:
+def test_identify_says_no_with_status_1(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     quiet = write(
         tmp_path / "q.csv",
@@ -110,7 +95,7 @@ def test_identify_says_no_with_status_1(tmp_path: Path, capsys: Capture) -> None
         pv=rng.standard_normal(200),
         co=rng.standard_normal(200),
     )
-    found = answer(capsys, "identify", str(quiet), status=1)
+    found = answer("identify", str(quiet), status=1)
     assert found["identifiable"] is False
     assert found["gains"] is None
     assert found["reason"]
@@ -128,18 +113,18 @@ def test_identify_says_no_with_status_1(tmp_path: Path, capsys: Capture) -> None
     ],
     ids=["missing column", "text", "nan", "time stands", "constant", "empty"],
 )
-def test_identify_refuses_in_one_line(tmp_path: Path, capsys: Capture, text: str, message: str) -> None:
+def test_identify_refuses_in_one_line(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "bad.csv"
     path.write_text(text)
-    assert message in refused(capsys, "identify", str(path))
+    assert message in refused("identify", str(path))
 
 
 @pytest.mark.parametrize(
     "options", [["--columns", "pv"], ["--columns", "pv=a,pv=b"], ["--tau-i", "5"], ["--kc", "0", "--tau-i", "5"]]
 )
-def test_identify_refuses_wrong_options(tmp_path: Path, capsys: Capture, options: list[str]) -> None:
+def test_identify_refuses_wrong_options(tmp_path: Path, options: list[str]) -> None:
     path = closed_loop(tmp_path / "loop.csv")
-    assert options[0] in refused(capsys, "identify", str(path), *options)
+    assert options[0] in refused("identify", str(path), *options)
 
 
 def test_the_python_interface() -> None:
@@ -181,9 +166,9 @@ def test_settings_for_a_loop_with_derivative_action_have_one_too() -> None:
         (["--duration", "0"], "--duration"),
     ],
 )
-def test_device_refuses_in_one_line(capsys: Capture, options: list[str], message: str) -> None:
+def test_device_refuses_in_one_line(options: list[str], message: str) -> None:
     oven = Path(__file__).parents[2] / "examples" / "oven.toml"
-    assert message in refused(capsys, "device", str(oven), *options)
+    assert message in refused("device", str(oven), *options)
 
 
 def test_python_dash_m_is_the_command() -> None:
@@ -196,9 +181,9 @@ def test_python_dash_m_is_the_command() -> None:
 @pytest.mark.slow
 def test_gains_are_given_and_shown_in_the_controllers_units(tmp_path: Path, capsys: Capture) -> None:
     path = str(closed_loop(tmp_path / "loop.csv"))
-    plain = answer(capsys, "identify", path, "--kc", "2", "--tau-i", "20")
+    plain = answer("identify", path, "--kc", "2", "--tau-i", "20")
     trade = ["--controller", "pb-rpm", "--pv-span", "10"]
-    same = answer(capsys, "identify", path, "--kc", "500", "--tau-i", "3", *trade)  # 100 / 500 % of 10 is 2 %/unit
+    same = answer("identify", path, "--kc", "500", "--tau-i", "3", *trade)  # 100 / 500 % of 10 is 2 %/unit
     assert same["margins_in_force"]["ms"] == pytest.approx(plain["margins_in_force"]["ms"])
     assert main(["diagnose", path, "--kc", "500", "--tau-i", "3", *trade, "--action", "reverse"]) == 0
     assert "active       PB 500 % reset 3 repeats/min" in capsys.readouterr().out
@@ -206,7 +191,7 @@ def test_gains_are_given_and_shown_in_the_controllers_units(tmp_path: Path, caps
     assert "  dialled   PB " in capsys.readouterr().out
     assert main(["identify", path]) == 0
     assert "dialled" not in capsys.readouterr().out
-    tuned = answer(capsys, *TUNE, "--controller", "gain-min", "--pv-span", "200")
+    tuned = answer(*TUNE, "--controller", "gain-min", "--pv-span", "200")
     dialled, gains = tuned["dialled"], tuned["gains"]
     assert dialled["gain"] == pytest.approx(2 * gains["kc"])
     assert dialled["tau_i_min"] == pytest.approx(gains["tau_i"] / 60)
@@ -226,19 +211,18 @@ TUNE = ("tune", "--type", "fopdt", "--k", "0.361", "--tau1", "138", "--theta", "
         (["--action", "direct"], "--action needs --controller"),
     ],
 )
-def test_wrong_units_are_refused_in_one_line(capsys: Capture, options: list[str], said: str) -> None:
-    assert said in refused(capsys, *TUNE, *options)
+def test_wrong_units_are_refused_in_one_line(options: list[str], said: str) -> None:
+    assert said in refused(*TUNE, *options)
 
 
-def test_a_dial_in_percent_is_not_told_of_an_output_that_is_none(tmp_path: Path, capsys: Capture) -> None:
+def test_a_dial_in_percent_is_not_told_of_an_output_that_is_none(tmp_path: Path) -> None:
     path, trade = str(closed_loop(tmp_path / "loop.csv")), ["--controller", "pb-rpm", "--pv-span", "9"]
-    said = refused(capsys, "diagnose", path, *trade, "--co-min", "0", "--co-max", "1")
-    assert "--scale co=0..1:0..100" in said
+    assert "--scale co=0..1:0..100" in refused("diagnose", path, *trade, "--co-min", "0", "--co-max", "1")
 
 
-def test_gains_that_act_against_the_record_are_refused(tmp_path: Path, capsys: Capture) -> None:
+def test_gains_that_act_against_the_record_are_refused(tmp_path: Path) -> None:
     path = str(closed_loop(tmp_path / "loop.csv"))
     for command in ("identify", "diagnose"):
-        said = refused(capsys, command, path, "--kc", "-2", "--tau-i", "20")
+        said = refused(command, path, "--kc", "-2", "--tau-i", "20")
         assert "these gains are direct acting; " in said
         assert "shows a reverse-acting controller" in said

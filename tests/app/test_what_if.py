@@ -11,6 +11,7 @@ from typing import Any
 
 import can
 import pytest
+from command_line import answer
 
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.retuner import Retuner
@@ -34,19 +35,17 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return short_session(tmp_path_factory, "--mode", "auto").parent
 
 
-def asked(log: Path, config: Path, capsys: pytest.CaptureFixture[str], *more: str) -> dict[str, Any]:
-    capsys.readouterr()
-    assert main(["replay", str(log), "--config", str(config), "--json", *more]) == 0
-    found: dict[str, Any] = json.loads(capsys.readouterr().out)
+def asked(log: Path, config: Path, *more: str) -> dict[str, Any]:
+    found: dict[str, Any] = answer("replay", log, "--config", config, *more)
     return found
 
 
 @pytest.mark.slow
-def test_a_trend_and_a_bus_log_answer_alike_and_twice_the_same(recorded, tmp_path, capsys):
+def test_a_trend_and_a_bus_log_answer_alike_and_twice_the_same(recorded, tmp_path):
     run, config = recorded / "run", recorded / "short.toml"
     live = bodies(run, "decision")[0]
     before = sorted(path.name for path in run.iterdir())
-    trend, bus = asked(run / "trend.csv", config, capsys), asked(run / "bus.blf", config, capsys)
+    trend, bus = asked(run / "trend.csv", config), asked(run / "bus.blf", config)
     assert {d["action"] for found in (trend, bus) for d in found["decisions"]} <= {"advise", "none"}
     assert trend["decisions"]
     changed = len([body for body in bodies(run, "committed") if body["why"] != "schedule"])
@@ -64,7 +63,7 @@ def test_a_trend_and_a_bus_log_answer_alike_and_twice_the_same(recorded, tmp_pat
         with can.Logger(other) as writer:
             for message in read_frames(run / "bus.blf"):
                 writer.on_message_received(message)
-        again = asked(other, config, capsys)["decisions"]
+        again = asked(other, config)["decisions"]
         assert [d["gains_after"] for d in again] == [d["gains_after"] for d in bus["decisions"]], suffix
         assert [d["reason"] for d in again] == [d["reason"] for d in bus["decisions"]], suffix
 
@@ -101,7 +100,7 @@ def test_text_says_that_nothing_was_written(recorded: Path, capsys: pytest.Captu
 @pytest.mark.slow
 def test_one_change_of_the_records_gains_is_told_as_once(recorded, tmp_path, capsys):
     trend, config = recorded / "run" / "trend.csv", recorded / "short.toml"
-    until_s = asked(trend, config, capsys)["gains_changed_s"][0] + 0.5
+    until_s = asked(trend, config)["gains_changed_s"][0] + 0.5
     head, *lines = trend.read_text().splitlines()
     log = tmp_path / "trend.csv"
     log.write_text("\n".join([head, *(line for line in lines if float(line.split(",")[0]) < until_s)]) + "\n")
@@ -109,13 +108,13 @@ def test_one_change_of_the_records_gains_is_told_as_once(recorded, tmp_path, cap
     assert "the record's gains changed once; nothing was written" in capsys.readouterr().out
 
 
-def test_a_bare_table_with_other_names_is_enough(recorded, tmp_path, capsys):
+def test_a_bare_table_with_other_names_is_enough(recorded, tmp_path):
     lines = (recorded / "run" / "trend.csv").read_text().splitlines()
     bare = ["time;target;temp;out", *(";".join(line.split(",")[:4]) for line in lines[1:])]
     log = tmp_path / "bare.csv"
     log.write_text("\n".join(bare) + "\n")
     names = ["--columns", "t=time,sp=target,pv=temp,co=out"]
-    found = asked(log, recorded / "short.toml", capsys, *names)
+    found = asked(log, recorded / "short.toml", *names)
     assert found["gains_changed_s"] == []
     assert found["decisions"][0]["action"] == "advise"
     assert found["gains"][0]["kp"] == 5.0
@@ -134,7 +133,7 @@ def test_an_export_is_replayed_as_the_plain_record_of_it(recorded, tmp_path, cap
     dots = [line.replace(",", ".", 2) for line in written]  # of the date
     export.write_text("\n".join(["Zeit;P1.SP;P1.PV;P1.OP", *dots]) + "\n")
 
-    whole = asked(plain, recorded / "short.toml", capsys)["decisions"]
+    whole = asked(plain, recorded / "short.toml")["decisions"]
     main(["replay", str(export), "--config", str(recorded / "short.toml"), "--json", "--tag", "P1"])
     found = capsys.readouterr()
 

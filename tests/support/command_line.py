@@ -1,10 +1,11 @@
 """A command, run in this process as the console script does."""
 
 import io
+import json
 import sys
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from retuner import cli
 
@@ -27,3 +28,18 @@ def run(*arguments: str | Path) -> Done:
     finally:
         sys.excepthook = hook
     return Done(status, out.getvalue(), err.getvalue())
+
+
+def answer(*arguments: str | Path, status: int = 0) -> Any:
+    """What a command answers with --json; it has nothing else to say."""
+    done = run(*arguments, "--json")
+    assert (done.returncode, done.stderr) == (status, "")
+    return json.loads(done.stdout)
+
+
+def refused(*arguments: str | Path) -> str:
+    """The one line with which a command refuses what it is given."""
+    done = run(*arguments)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.count("\n") == 1
+    return done.stderr
