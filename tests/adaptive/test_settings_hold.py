@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import answer
+from command_line import answer, told
 
 from retuner.adaptive.cause_odds import other_processes
 from retuner.adaptive.cause_odds.odds_settings import OddsSettings
@@ -14,7 +14,6 @@ from retuner.adaptive.identification.robust_simc import RobustSettings, robust_s
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import Window
 from retuner.api import Identification, identify_by_region, identify_record
-from retuner.cli import main
 from retuner.schedule.gains import PidGains
 
 LOADS = Path(__file__).parent.parent / "data" / "loads"
@@ -98,12 +97,11 @@ def test_a_still_record_says_nothing_against_settings() -> None:
 
 @pytest.mark.slow
 @pytest.mark.uncounted
-def test_where_no_process_is_identified_the_command_tells_what_diagnose_says(tmp_path, capsys):
+def test_where_no_process_is_identified_the_command_tells_what_diagnose_says(tmp_path):
     window, path = record("inverse_three_thousand_rows"), tmp_path / "loop.csv"
     columns = np.column_stack([window.t_s, window.sp, window.pv, window.co])
     np.savetxt(path, columns, delimiter=",", header="t,sp,pv,co", comments="")
-    assert main(["identify", str(path)]) == 1
-    shown = capsys.readouterr().out
+    shown = told("identify", path, status=1)
     assert "retuner diagnose, which weighs all processes and loads: AGGRESSIVE" in shown
     assert "recommended  Kc" in shown
     document = answer("identify", path, status=1)

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from command_line import answer
+from command_line import answer, refused
 
 from retuner.cli import main
 
@@ -39,9 +39,8 @@ def test_a_known_interface_and_a_good_key_pass(tmp_path: Path, interface: str) -
     assert main(["check", str(configured(tmp_path, interface, key))]) == 0
 
 
-def test_a_key_that_others_may_read_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_key_that_others_may_read_is_refused(tmp_path: Path) -> None:
     key = tmp_path / "key"
     key.write_text("00" * 32)
     key.chmod(0o644)
-    assert main(["check", str(configured(tmp_path, "virtual", key))]) == 2
-    assert "others can read or write it" in capsys.readouterr().err
+    assert "others can read or write it" in refused("check", str(configured(tmp_path, "virtual", key)))

@@ -1,9 +1,7 @@
 """retuner reduce: what it prints, and what it refuses in one line."""
 
 import pytest
-from command_line import answer, refused
-
-from retuner.cli import main
+from command_line import answer, refused, told
 
 E2 = ["--num-t", "-0.3,0.08", "--den-t", "2,1,0.4,0.2,0.05,0.05,0.05"]
 
@@ -21,16 +19,14 @@ def test_options_may_be_repeated_or_listed() -> None:
     assert outputs[0]["theta"] == pytest.approx(2.1)
 
 
-def test_text_shows_every_step(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["reduce", "--num-t", "15", "--den-t", "20,1,.1,.1", "--k", "2"]) == 0
-    out = capsys.readouterr().out
+def test_text_shows_every_step() -> None:
+    out = told("reduce", "--num-t", "15", "--den-t", "20,1,.1,.1", "--k", "2")
     assert "T2: lead 15 s against lag 20 s" in out
     assert "0.15 s" in out
 
 
-def test_integrating_type_names_the_unit_of_its_gain(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["reduce", "--den-t", "1,1", "--integrators", "1"]) == 0
-    out = capsys.readouterr().out
+def test_integrating_type_names_the_unit_of_its_gain() -> None:
+    out = told("reduce", "--den-t", "1,1", "--integrators", "1")
     assert "integrating" in out
     assert "1 /s" in out
     assert "tau1" not in out

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from command_line import answer
+from command_line import answer, refused
 
 from retuner.cli import main
 from retuner.decision_page.row_values import number, part
@@ -121,9 +121,8 @@ def test_where_a_report_cannot_be_written_is_told_by_its_own_name(session, tmp_p
     assert not list(tmp_path.iterdir())
 
 
-def test_a_decision_that_is_not_there_is_named(session: Path, capsys) -> None:
-    assert main(["report", str(session), "--decision", "999"]) == 2
-    assert "has no decision 999; it has 1 to" in capsys.readouterr().err
+def test_a_decision_that_is_not_there_is_named(session: Path) -> None:
+    assert "has no decision 999; it has 1 to" in refused("report", session, "--decision", "999")
 
 
 @pytest.mark.slow

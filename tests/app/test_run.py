@@ -16,7 +16,7 @@ import can
 import cantools
 import numpy as np
 import pytest
-from command_line import answer
+from command_line import answer, refused
 from once import once
 from two_regions import two_regions
 
@@ -200,32 +200,29 @@ def test_wrong_use_is_one_line_and_status_2_and_leaves_nothing(quick, capsys, ar
     assert not (quick.parent / "out").exists()
 
 
-def test_a_failed_start_leaves_no_folder_that_was_not_there(quick: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_failed_start_leaves_no_folder_that_was_not_there(quick: Path) -> None:
     out = quick.parent / "deep" / "er" / "out"
-    assert main(["run", str(quick), "-i", "nosuchbus", "--speed", "1", "--out", str(out)]) == 2
-    assert "nosuchbus" in capsys.readouterr().err
+    assert "nosuchbus" in refused("run", quick, "-i", "nosuchbus", "--speed", "1", "--out", out)
     assert not (quick.parent / "deep").exists()
     (quick.parent / "deep").mkdir()
     assert main(["run", str(quick), "-i", "nosuchbus", "--speed", "1", "--out", str(out)]) == 2
     assert list((quick.parent / "deep").iterdir()) == []
 
 
-def test_a_second_run_in_the_folder_of_a_living_one_is_refused_and_takes_nothing_away(quick, capsys):
+def test_a_second_run_in_the_folder_of_a_living_one_is_refused_and_takes_nothing_away(quick):
     folder = quick.parent / "out"
     folder.mkdir()
     with Ledger(folder / "ledger.sqlite") as ledger:
         ledger.append("k", {}, 0.0)
-        assert main(["run", str(quick)]) == 2
-        assert "another run writes this ledger" in capsys.readouterr().err
+        assert "another run writes this ledger" in refused("run", quick)
         assert [path.name for path in quick.parent.iterdir() if path.is_dir()] == ["out"]
         assert ledger.append("k", {}, 1.0).seq == 2
 
 
-def test_parquet_without_pyarrow_is_refused_before_the_run(quick, capsys, monkeypatch):
+def test_parquet_without_pyarrow_is_refused_before_the_run(quick, monkeypatch):
     quick.write_text(QUICK + 'trend = "parquet"\n', encoding="utf-8")
     monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
-    assert main(["run", str(quick)]) == 2
-    assert 'pip install "retuner[parquet]"' in capsys.readouterr().err
+    assert 'pip install "retuner[parquet]"' in refused("run", quick)
     assert not (quick.parent / "out").exists()
 
 

@@ -188,8 +188,7 @@ def test_a_column_of_the_record_may_be_the_variable_and_others_the_gains(tmp_pat
     assert done.returncode == 0
     found = json.loads(done.stdout)
     assert [e["variable"] for e in found["candidates"]] == ["FI104"]
-    assert main(["schedule", str(wide), "--by", "FI105"]) == 2
-    assert "FI105" in capsys.readouterr().err
+    assert "FI105" in refused("schedule", wide, "--by", "FI105")
     assert main(["schedule", str(wide), "--by", "pv", "--gain-columns", "KP"]) == 2
     assert "--gain-columns" in capsys.readouterr().err
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import answer, refused
+from command_line import answer, refused, told
 
 import retuner
 from retuner import PidController, PidGains, ProcessModel, ProcessType, identify, tune
@@ -74,7 +74,7 @@ def closed_loop(path: Path, noise: float = 0.01, names: tuple[str, ...] = ("t", 
     return write(path, **dict(zip(names, (np.arange(n) * 1.0, sp, pv, co), strict=True)))
 
 
-def test_identify_in_closed_loop_with_renamed_columns_and_gains_in_force(tmp_path: Path, capsys: Capture) -> None:
+def test_identify_in_closed_loop_with_renamed_columns_and_gains_in_force(tmp_path: Path) -> None:
     path = closed_loop(tmp_path / "loop.csv", names=("time", "target", "level", "valve"))
     found = answer(
         "identify", str(path), "--columns", "t=time,sp=target,pv=level,co=valve", "--kc", "2", "--tau-i", "20"
@@ -82,8 +82,7 @@ def test_identify_in_closed_loop_with_renamed_columns_and_gains_in_force(tmp_pat
     assert found["model"]["k"] == pytest.approx(1.0, rel=0.05)
     assert found["model"]["theta"] == pytest.approx(3.0, rel=0.1)
     assert found["margins_in_force"]["stable"] is True
-    assert main(["identify", str(path), "--columns", "t=time,sp=target,pv=level,co=valve"]) == 0
-    assert "recommended settings" in capsys.readouterr().out
+    assert "recommended settings" in told("identify", path, "--columns", "t=time,sp=target,pv=level,co=valve")
 
 
 def test_identify_says_no_with_status_1(tmp_path: Path) -> None:
@@ -179,18 +178,17 @@ def test_python_dash_m_is_the_command() -> None:
 
 
 @pytest.mark.slow
-def test_gains_are_given_and_shown_in_the_controllers_units(tmp_path: Path, capsys: Capture) -> None:
+def test_gains_are_given_and_shown_in_the_controllers_units(tmp_path: Path) -> None:
     path = str(closed_loop(tmp_path / "loop.csv"))
     plain = answer("identify", path, "--kc", "2", "--tau-i", "20")
     trade = ["--controller", "pb-rpm", "--pv-span", "10"]
     same = answer("identify", path, "--kc", "500", "--tau-i", "3", *trade)  # 100 / 500 % of 10 is 2 %/unit
     assert same["margins_in_force"]["ms"] == pytest.approx(plain["margins_in_force"]["ms"])
-    assert main(["diagnose", path, "--kc", "500", "--tau-i", "3", *trade, "--action", "reverse"]) == 0
-    assert "active       PB 500 % reset 3 repeats/min" in capsys.readouterr().out
-    assert main(["identify", path, *trade]) == 0
-    assert "  dialled   PB " in capsys.readouterr().out
-    assert main(["identify", path]) == 0
-    assert "dialled" not in capsys.readouterr().out
+    assert "active       PB 500 % reset 3 repeats/min" in told(
+        "diagnose", path, "--kc", "500", "--tau-i", "3", *trade, "--action", "reverse"
+    )
+    assert "  dialled   PB " in told("identify", path, *trade)
+    assert "dialled" not in told("identify", path)
     tuned = answer(*TUNE, "--controller", "gain-min", "--pv-span", "200")
     dialled, gains = tuned["dialled"], tuned["gains"]
     assert dialled["gain"] == pytest.approx(2 * gains["kc"])

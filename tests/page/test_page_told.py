@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from command_line import refused
 from served import AFTER, Served, Session
 
 from retuner.cli import main
@@ -256,13 +257,12 @@ def test_what_cannot_be_served_is_one_line_and_status_2(arguments, told, tmp_pat
     assert len(shown.splitlines()) == 1
 
 
-def test_a_ledger_of_another_version_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_ledger_of_another_version_is_told(tmp_path: Path) -> None:
     Session(tmp_path / "demo").close()
     database = sqlite3.connect(tmp_path / "demo" / "ledger.sqlite")
     database.execute("PRAGMA user_version = 99")
     database.commit()
     database.close()
-    assert main(["serve", str(tmp_path / "demo")]) == 2
-    assert "is a ledger of version 99; this release reads version" in capsys.readouterr().err
+    assert "is a ledger of version 99; this release reads version" in refused("serve", tmp_path / "demo")
     with pytest.raises(Exception, match="version 99"):
         RecordedRuns(tmp_path)

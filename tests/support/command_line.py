@@ -37,6 +37,13 @@ def answer(*arguments: str | Path, status: int = 0) -> Any:
     return json.loads(done.stdout)
 
 
+def told(*arguments: str | Path, status: int = 0) -> str:
+    """What a command tells a person."""
+    done = run(*arguments)
+    assert done.returncode == status, done.stderr
+    return done.stdout
+
+
 def refused(*arguments: str | Path) -> str:
     """The one line with which a command refuses what it is given."""
     done = run(*arguments)

@@ -3,6 +3,7 @@
 import json
 
 import pytest
+from command_line import told
 
 from retuner.adaptive.guard.step_size import change_factor
 from retuner.cli import main
@@ -48,7 +49,7 @@ scenario = {{ duration_s = 120.0, steps = [{steps}] }}
     ("most", "code"),
     [(1.7, "accepted"), pytest.param(1.05, "not_survived", marks=[pytest.mark.slow, pytest.mark.uncounted])],
 )
-def test_a_session_with_a_refused_change_is_decided_again_byte_for_byte(tmp_path, monkeypatch, capsys, most, code):
+def test_a_session_with_a_refused_change_is_decided_again_byte_for_byte(tmp_path, monkeypatch, most, code):
     before = PidGains.from_ideal(0.8, 10.0)
     monkeypatch.setattr(
         Among, "_against", lambda _, gains, _basis: REFUSED if change_factor(before, gains) > most else ""
@@ -63,5 +64,4 @@ def test_a_session_with_a_refused_change_is_decided_again_byte_for_byte(tmp_path
     made = next(body for kind, body in rows if kind == "decision")
     assert made["code"] == code
     assert REFUSED in made["reason"]
-    assert main(["replay", "out"]) == 0
-    assert "identical" in capsys.readouterr().out
+    assert "identical" in told("replay", "out")
