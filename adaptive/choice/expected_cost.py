@@ -142,8 +142,8 @@ def outlooks(
     weights = [math.exp(-plausible.excess / (2 * settings.temper)) for plausible in found]
     processes, n = [model.linear() for model in sampled], len(sampled)
     # J by set and process, over that of the rule within the limit of Ms
-    robust = RobustSettings(ms_nominal=settings.ms_limit, ms_worst=math.inf, ms_third=math.inf)
-    rules = [(model.linear(), robust_simc_on(model, (), 0.0, robust).tuning.gains) for model in sampled]
+    robust = RobustSettings(settings.ms_limit, ms_worst=math.inf, ms_third=math.inf, tau_f_s=loop.tau_f_s)
+    rules = [(m.linear(), robust_simc_on(m, (), 0.0, robust, sets[0].gains).tuning.gains) for m in sampled]
     pairs = [(process, choosable.gains) for choosable in sets for process in processes]
     loops = [ClosedLoop(process, gains, loop.b, loop.tau_f_s) for process, gains in (*pairs, *rules)]
     each = zip(loops, traces(loops, UPSETS), strict=True)

@@ -11,7 +11,8 @@ The first remedy for doubt is a larger tau_c (by at most so much); what is still
 for the user, to judge by the Ms that comes with the settings. Half a sampling interval counts as dead time.
 
 A loop that has derivative action gets SIMC's PID settings (tau_D is the second lag; Skogestad 2003, table 1) where that
-lag is known well enough for them to be robust by the same limits.
+lag is known well enough for them to be robust by the same limits. The derivative's filter counts in Ms on the best
+model, where it is known. Where the integral time is shorter than SIMC's, tau_D is at most a quarter of it.
 """
 
 from collections.abc import Sequence
@@ -24,7 +25,7 @@ from retuner.adaptive.loop.most_integral import most_integral
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.rules.rule import ControllerKind, Tuning
 from retuner.adaptive.rules.simc import simc, without_second_lag
-from retuner.schedule.gains import PidGains
+from retuner.schedule.gains import PidGains, series_kept
 from retuner.schedule.late_dataclass import dataclass, replace
 
 PI, PID = ControllerKind.PI, ControllerKind.PID
@@ -53,6 +54,7 @@ class RobustSettings:
     tau_c_most : largest tau_c over theta for the sake of the best model; default 3 (a process that swings needs it).
     tau_c_doubt : the same for the sake of the others; default 1.8.
     tau_i_share : integral time over SIMC's; default 1.
+    tau_f_s : filter time of the derivative in seconds, which Ms on the best model counts; 0 or more; default 0.
     """
 
     ms_nominal: float = 1.68
@@ -63,6 +65,7 @@ class RobustSettings:
     tau_c_most: float = 3.0
     tau_c_doubt: float = 1.8
     tau_i_share: float = 1.0
+    tau_f_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,9 +114,10 @@ def _tightest(
 
     def at(ratio: float) -> RobustTuning:
         given = by_integral(model, ratio) if asks_for_integral(model) else simc(model, ratio * theta, kind)
-        given = replace(given, gains=replace(given.gains, ki=given.gains.ki / settings.tau_i_share))
-        ms = sensitivity_peak(model.linear(), given.gains)
-        worst = max([ms, *(sensitivity_peak(m.linear(), given.gains) for m in others)])
+        shorter = replace(given.gains, ki=given.gains.ki / settings.tau_i_share)
+        given = replace(given, gains=series_kept(shorter, given.gains))
+        ms = sensitivity_peak(model.linear(), given.gains, settings.tau_f_s)
+        worst = max(sensitivity_peak(m.linear(), given.gains) for m in (model, *others))
         return RobustTuning(given, ms, worst)
 
     def proper(found: RobustTuning, ratio: float) -> bool:

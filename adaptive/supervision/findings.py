@@ -411,7 +411,7 @@ def propose(region_model: RegionModel, log: LogModel, in_force: PidGains, settin
     lag_dominant = not plain.tau1_s or plain.tau1_s > LAG_DOMINANT * plain.theta_s
     ms = settings.guard.ms_nominal if lag_dominant else min(settings.robust.ms_nominal, settings.guard.ms_nominal)
     robust = replace(settings.robust, ms_nominal=ms)
-    tuning = _by_weight(region_model, best, in_force, robust, settings)
+    tuning = _for_controller(region_model, best, in_force, robust, settings)
     given, lagged = (in_force, tuning.gains, log.gain_uncertainty(dt_s)), with_second_lag(region_model.plausible, dt_s)
     as_well = [best, *(p.model for p in region_model.plausible[1:] if not p.excess)]
 
@@ -435,16 +435,21 @@ def propose(region_model: RegionModel, log: LogModel, in_force: PidGains, settin
 SHORTER = (1.0, 0.8, 0.65, 0.5)  # shares of SIMC's integral time that are tried
 
 
-def _by_weight(
+def _for_controller(
     known: RegionModel, best: ProcessModel, in_force: PidGains, robust: RobustSettings, settings: RetunerSettings
 ) -> Tuning:
-    """The rule's settings for the controller's setpoint weight: SIMC's integral time is that of a weight of 1.
+    """The rule's settings for a controller whose setpoint weight is less than 1, or whose derivative is filtered.
 
-    With less, pv comes to a new setpoint by integral action (Astrom & Hagglund 2006, section 3.4): a shorter one is
-    taken where the IAE after a setpoint and a load step, over that of SIMC's, is less in the mean.
+    SIMC's integral time is that of a weight of 1. With less, pv comes to a new setpoint by integral action (Astrom &
+    Hagglund 2006, section 3.4). A filter raises Ms over what SIMC's derivative has without it: a larger tau_c alone
+    would pay for that with a longer integral time. A shorter one is taken where the IAE after a setpoint and a load
+    step, over that of SIMC's, is less in the mean, and Ms within the same limits.
     """
     dt_s, b = settings.sample_time_s, settings.setpoint_weight
-    shares = SHORTER if b < 1.0 and not in_force.kd and not asks_for_integral(best) else SHORTER[:1]
+    filtered = in_force.kd != 0.0 and settings.filter_s > 0.0
+    shares = SHORTER if (b < 1.0 or filtered) and not asks_for_integral(best) else SHORTER[:1]
+    if filtered:
+        robust = replace(robust, tau_f_s=settings.filter_s, ms_nominal=settings.guard.ms_nominal)
     tried = [replace(robust, tau_i_share=share) for share in shares]
     first, *more = (robust_simc_on(best, known.plausible, dt_s, one, in_force) for one in tried)
     held = [one for one in more if one.ms_nominal <= robust.ms_nominal and one.ms_worst <= robust.ms_worst]
