@@ -28,7 +28,7 @@ import can
 from bus_simulation.device_end import LagPlant
 from bus_simulation.in_thread import InThread
 from cases import diagnosis
-from startup import cpu_s, write_record
+from startup import RUN, cpu_s, write_record
 
 from retuner import PidGains, identify
 from retuner.adaptive.explanations.valve_odds import log_odds_of_valve
@@ -50,7 +50,6 @@ HISTORY = Path(__file__).with_suffix(".toml")
 WORSE = 1.1
 SEED, RECORDS = 4040, 8
 HELP = ("", "run", "report", "approve", "replay", "experiment", "identify", "diagnose", "audit", "schedule")
-COMMAND = "import sys; from retuner.cli import main; sys.exit(main({}))"
 SETTLED_SAMPLES = 136
 """After so many no stamp of the lease is waited for."""
 BURST, BURSTS = 64, 500
@@ -106,13 +105,13 @@ def of_commands(base: float) -> Iterator[tuple[str, float]]:
     yield "from retuner import Retuner", cpu_s(["-c", "from retuner import Retuner"]) / base
     for name in HELP:
         given = [*([name] if name else []), "--help"]
-        yield " ".join(["retuner", *given]), cpu_s(["-c", COMMAND.format(given)]) / base
+        yield " ".join(["retuner", *given]), cpu_s(["-c", RUN.format(given)]) / base
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "record.csv")
         write_record(path)
         for name in ("identify", "diagnose"):
             given = [name, str(path), "--kc", "1", "--tau-i", "15", "--json"]
-            yield f"retuner {name} FILE", cpu_s(["-c", COMMAND.format(given)]) / base
+            yield f"retuner {name} FILE", cpu_s(["-c", RUN.format(given)]) / base
 
 
 def on_line(base: float) -> Iterator[tuple[str, float]]:
@@ -127,7 +126,7 @@ def of_demo(base: float) -> Iterator[tuple[str, float]]:
     """What `make demo` runs, without its page server: the virtual oven retuned, with a report."""
     with tempfile.TemporaryDirectory() as folder:
         given = ["run", str(HISTORY.parents[1] / "examples" / "oven.toml"), "--out", str(Path(folder, "run")), "--json"]
-        yield "the demo", cpu_s(["-c", COMMAND.format(given)]) / base
+        yield "the demo", cpu_s(["-c", RUN.format(given)]) / base
 
 
 def of_plant(_: float) -> Iterator[tuple[str, float]]:

@@ -32,7 +32,7 @@ LIMITS = {
     IDENTIFY: (6.6, NUMPY),  # 5.3 to 5.8 since valves whose slips have times of their own are asked for (4.7 before)
 }
 ROUNDS = 9
-RUN = "import sys; from retuner.cli import main; sys.exit(main({}))"
+RUN = "import sys; sys.argv[1:] = {}; from retuner.__main__ import main; sys.exit(main())"
 KC, TAU_I_S, DT_S = 1.0, 15.0, 0.1
 
 
