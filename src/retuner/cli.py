@@ -53,14 +53,14 @@ WHOLE = frozenset({"check", "conformance", "device", "doctor", "export", "serve"
 """Commands in one file; what can be typed of the others stands in commands/signatures.py, apart from what they load."""
 
 
-def app_of(command: str) -> typer.Typer:
-    """A command as typer has it, with its options."""
+def app_of(command: str, within: str = "") -> typer.Typer:
+    """A command as typer has it, with its options. within : the one of a group that is called, where that is known."""
     if command in WHOLE:
         found: typer.Typer = import_module(f"retuner.commands.{command}").app
         return found
     from retuner.commands.signatures import app_of as typed  # noqa: PLC0415  not for the list of commands
 
-    return typed(command)
+    return typed(command, within)
 
 
 def _readable(text: str) -> Path:
@@ -118,7 +118,7 @@ class Commands(TyperGroup):
     def resolve_command(self, *given: Any, **named: Any) -> tuple[str | None, Any, list[str]]:
         """The command's own module in place of its entry in the list."""
         name, _, rest = super().resolve_command(*given, **named)
-        return name, with_verbosity(get_command(app_of(name or ""))), rest
+        return name, with_verbosity(get_command(app_of(name or "", *rest[:1]))), rest
 
 
 app = typer.Typer(

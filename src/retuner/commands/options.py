@@ -3,7 +3,7 @@
 import json
 import sys
 from collections.abc import Callable, Iterable, Mapping
-from functools import wraps
+from functools import partial, wraps
 from importlib import import_module
 from inspect import signature
 from pathlib import Path
@@ -49,13 +49,13 @@ T = TypeVar("T")
 
 def option(default: T, text: str, *names: str, metavar: str | None = None, panel: str | None = None) -> T:
     """A field of a dataclass of options. text : its help. names : where they are not the field's own."""
-    shown = typer.Option(*names, help=text, metavar=metavar, rich_help_panel=panel)
+    shown = partial(typer.Option, *names, help=text, metavar=metavar, rich_help_panel=panel)
     return field(default=default, metadata={"shown": shown})
 
 
 def argument(default: T, text: str, *, metavar: str | None = None) -> T:
     """An option that is given by its place."""
-    return field(default=default, metadata={"shown": typer.Argument(help=text, metavar=metavar)})
+    return field(default=default, metadata={"shown": partial(typer.Argument, help=text, metavar=metavar)})
 
 
 PANEL = "The form of the record (else detected, and reported)"
@@ -121,7 +121,7 @@ def signed_by(options: type[Options]) -> Callable[[Callable[[Options], int]], Ca
         plain = signature(options, eval_str=True)
         shown = {one.name: one.metadata.get("shown") for one in fields(options)}  # type: ignore[arg-type]
         told = [
-            one if (how := shown[name]) is None else one.replace(annotation=Annotated[one.annotation, how])
+            one if (how := shown[name]) is None else one.replace(annotation=Annotated[one.annotation, how()])
             for name, one in plain.parameters.items()
         ]
         called.__signature__ = plain.replace(parameters=told)  # type: ignore[attr-defined]

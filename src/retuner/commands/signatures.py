@@ -63,13 +63,15 @@ def typed(name: str, work: str, example: str) -> Callable[[type[Options]], type[
     return noted
 
 
-def app_of(name: str) -> typer.Typer:
-    """A command, or a group of them, as typer has it."""
+def app_of(name: str, within: str = "") -> typer.Typer:
+    """A command, or a group of them, as typer has it; of a group only the command of that name, where it has one."""
     app = typer.Typer(add_completion=False)
     if name in GROUPS:
         about, one = GROUPS[name]
         app = typer.Typer(no_args_is_help=True, add_completion=False, help=about, epilog=f"Example: retuner {one}")
-    for options, work, example in TYPED[name]:
+        app.callback()(lambda: None)  # a group, whatever it has
+    called = [one for one in TYPED[name] if one.work.endswith(f".{within}")]
+    for options, work, example in called or TYPED[name]:
         command(app, options, work, example)
     return app
 
