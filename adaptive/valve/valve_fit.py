@@ -100,22 +100,20 @@ def with_play(linear: Candidate, most_loads: int) -> Sticking:
     """
     kept = linear.fit.misfit
     bare = replace(kept, loads=0, corners=0, rounded=False)
-    rivals = [fine(_played(linear.fit, kept, linear.fit.p))]
+    tried = []
+    for share in PLAYS:
+        valves = [StuckValve(Family.KANO, share * kept.record.co_range, 0.0, start) for start in STARTS]
+        tried.append(valves[int(np.argmin(valve_costs(linear.fit, valves)))])
+    rivals = [fine(_played(kept, tried, linear.fit.p))]
     if kept.loads:
-        plain = fine(_played(linear.fit, bare, linear.fit.x))
+        plain = fine(_played(bare, tried, linear.fit.x))
         rivals.append(replace(plain, fit=improved(plain.fit, most_loads, CandidateList([plain.fit]))))
     return min(rivals, key=lambda s: s.fit.criterion)
 
 
-def _played(fit: Fit, misfit: Misfit, p: FloatArray) -> Sticking:
-    """The best play of those that are tried, refined. fit : the linear one, from which each begins. p : of misfit."""
-    co_range = misfit.record.co_range
-    found = []
-    for share in PLAYS:
-        valves = [StuckValve(Family.KANO, share * co_range, 0.0, start) for start in STARTS]
-        costs = valve_costs(fit, valves)
-        found.append(refined(misfit, valves[int(np.argmin(costs))], p))
-    return min(found, key=lambda s: s.fit.criterion)
+def _played(misfit: Misfit, tried: list[StuckValve], p: FloatArray) -> Sticking:
+    """The best play of those that are tried, refined. p : of misfit, from which each begins."""
+    return min((refined(misfit, valve, p) for valve in tried), key=lambda s: s.fit.criterion)
 
 
 def settled(at: Sticking) -> Sticking:
