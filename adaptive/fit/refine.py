@@ -8,13 +8,14 @@ record is what a supervising thread can spare).
 """
 
 import math
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
 from retuner.adaptive.fit.engine import compiled
 from retuner.adaptive.fit.misfit import Misfit, Projection
 from retuner.adaptive.fit.structure import INVERSE, LAG, SECOND, SIZE, SLOPE, THETA, THIRD
+from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.late_dataclass import dataclass
 
@@ -114,10 +115,16 @@ class Fit:
 
 def bounds(misfit: Misfit) -> tuple[FloatArray, FloatArray]:
     """Lowest and highest p."""
-    record, type_ = misfit.record, misfit.type
-    dt, span = record.sample_time_s, record.span_s
-    usual = math.log(record.pv_range / (record.co_range or 1.0) / span)
-    low, high = np.full(misfit.size, -np.inf), np.full(misfit.size, np.inf)
+    record, loads = misfit.record, (misfit.loads, misfit.rounded, misfit.harmonics > 0)
+    usual = math.log(record.pv_range / (record.co_range or 1.0) / record.span_s)
+    return _bounds(misfit.type, misfit.size, *loads, record.sample_time_s, record.span_s, usual)
+
+
+@lru_cache(maxsize=128)  # an identification asks for some twenty, a hundred and fifty times
+def _bounds(
+    type_: ProcessType, size: int, loads: int, rounded: bool, tone: bool, dt: float, span: float, usual: float
+) -> tuple[FloatArray, FloatArray]:
+    low, high = np.full(size, -np.inf), np.full(size, np.inf)
     low[SLOPE], high[SLOPE] = usual - GAIN_REACH, usual + GAIN_REACH
     low[THETA], high[THETA] = math.log(LEAST_TIME * dt), math.log(MOST_THETA * span)
     least_second = (LEAST_SECOND if type_ in INVERSE else LEAST_TIME) * dt
@@ -130,11 +137,12 @@ def bounds(misfit: Misfit) -> tuple[FloatArray, FloatArray]:
         if type_ in places:
             low[places[type_]], high[places[type_]] = math.log(least), math.log(most)
     d = SIZE[type_]
-    low[d : d + misfit.loads], high[d : d + misfit.loads] = 0.0, span - dt
-    if misfit.rounded:
-        low[d + misfit.loads], high[d + misfit.loads] = math.log(LEAST_TIME * dt), math.log(span)
-    if misfit.harmonics:
+    low[d : d + loads], high[d : d + loads] = 0.0, span - dt
+    if rounded:
+        low[d + loads], high[d + loads] = math.log(LEAST_TIME * dt), math.log(span)
+    if tone:
         low[-1], high[-1] = math.log(0.5 * math.pi / span), math.log(math.pi / dt)
+    low.flags.writeable = high.flags.writeable = False
     return low, high
 
 
