@@ -334,10 +334,10 @@ def _levels(logs: FloatArray, kept: BoolArray) -> bytes:
     """Logarithms of weights as levels under the largest. kept : of shape GRID, those not left out from the beginning;
     logs : of these, shape (PLANES[0], number).
     """
-    levels = np.full(PLANES, DEEPEST, dtype=np.uint8)
+    levels, at = np.full((PLANES[0], kept.size), DEEPEST, dtype=np.uint8), np.flatnonzero(kept)
     for one in WHOLE:
         top = float(np.max(logs[one]))
-        levels[one, kept] = np.minimum(np.rint((top - logs[one]) / STEP), DEEPEST - 1)
+        levels[one, at] = np.minimum(np.rint((top - logs[one]) / STEP), DEEPEST - 1)
     return levels.tobytes()
 
 

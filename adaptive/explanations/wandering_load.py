@@ -55,7 +55,7 @@ from retuner.adaptive.fit.engine import compiled
 from retuner.adaptive.indexes.recording_quality import hidden_sigma
 from retuner.adaptive.signals.noise import quantum_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
-from retuner.schedule.late_dataclass import dataclass, replace
+from retuner.schedule.late_dataclass import dataclass, field, replace
 
 MOST_SAMPLES = 1024
 """Longer records are condensed, or cut into windows, to this many; transforms of a power of two hold them."""
@@ -157,6 +157,7 @@ class Prepared:
 
     pv, co : shape (n,). resolution : standard deviation of what pv cannot show. sample_time_s : after condensing.
     first : the first value of pv. smoothing : f of a recorder that made both 1 + f q of what they were; 0 to 1.
+    size : variance of pv, in which sums of squares are counted.
     """
 
     pv: FloatArray
@@ -165,6 +166,10 @@ class Prepared:
     sample_time_s: float
     first: float = 0.0
     smoothing: float = 0.0
+    size: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "size", float(np.var(self.pv)) or 1.0)  # asked for by each of sixty lags
 
     @classmethod
     def at(cls, window: Window, dt_s: float) -> "Prepared":
@@ -196,8 +201,7 @@ class UnderLoads:
     """Least squares of the whitened pv on every whitened input and dead time, under each of some loads.
 
     gain, information, left : K of least squares, S and RSS (head of this file), shape (loads, inputs, dead times).
-    freedom : samples less nuisances, shape (loads,). size : variance of pv, in which sums of squares are counted: loads
-    of other orders have other freedoms.
+    freedom : samples less nuisances, shape (loads,). size : of Prepared: loads of other orders have other freedoms.
     """
 
     gain: FloatArray
@@ -268,7 +272,7 @@ def under_loads(
     models, falls, unknown, poles, packed = _behind(lag, tuple(loads), second_lags(lag)[rows], through)
     freedom = len(record.pv) - np.add.outer(unknown, ends).ravel().astype(np.float64)
     tones = np.zeros((0, len(record.pv))) if tones is None else tones
-    size = float(np.var(record.pv)) or 1.0
+    size = record.size
     if record.smoothing:
         both = unsmoothed(np.vstack([record.pv, inputs]), record.smoothing)
         record, inputs = replace(record, pv=both[0], smoothing=0.0), both[1:]
