@@ -13,7 +13,7 @@ away.
 Which is earlier is not asked: feedback turns the phase of the error; roots came a fifth of a period before or after.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from retuner.adaptive.audit.tracks import SwingTrack, by_chance, coherence
 from retuner.schedule.late_dataclass import dataclass
@@ -150,8 +150,3 @@ def _root(loops: Sequence[Swinging]) -> tuple[str | None, str, bool]:
         why = "none of them is nonlinear: they oscillate against each other, or the source is not among these loops"
         return None, why, len(loops) == 2
     return None, "none stands out", False
-
-
-def grouped(groups: Sequence[CommonSwing]) -> Mapping[str, CommonSwing]:
-    """The group of each loop that is in one."""
-    return {tag: group for group in groups for tag in group.tags}

@@ -20,7 +20,7 @@ from retuner.drivers.historian.data_frames import is_frame, table_of_frame
 from retuner.drivers.historian.parquet_tables import tables_of_parquet
 from retuner.drivers.historian.raw_table import RawTable, decoded, text_table
 from retuner.drivers.historian.record_form import SIGNALS, RecordForm
-from retuner.drivers.historian.reshaped import annotated_table, is_annotated
+from retuner.drivers.historian.reshaped import ANNOTATIONS, annotated_table
 from retuner.drivers.historian.row_order import OneSignal, joined
 from retuner.drivers.historian.scaling import scaled
 from retuner.drivers.historian.table_signals import BESIDE, TableSignals, signals_of
@@ -269,7 +269,7 @@ def traffic_names(path: Path, form: RecordForm) -> list[str]:
 
 def _text_table(path: Path, form: RecordForm) -> RawTable:
     text, assumed = decoded(path, form)
-    if is_annotated(text):
+    if text.lstrip("\ufeff\r\n ").startswith(ANNOTATIONS):  # InfluxDB's annotated CSV
         found = annotated_table(str(path), text)
         return replace(found, assumed=(*assumed, *found.assumed))
     return text_table(path, text, assumed, form)

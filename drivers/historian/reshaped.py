@@ -28,11 +28,6 @@ INFLUX_OWN = frozenset({"", "result", "table", "_start", "_stop", "_time", "_val
 Lines = list[tuple[int, list[str]]]  # lines of a file by their number, each as its fields
 
 
-def is_annotated(text: str) -> bool:
-    """Whether a text is InfluxDB's annotated CSV."""
-    return text.lstrip("\ufeff\r\n ").startswith(ANNOTATIONS)
-
-
 def annotated_table(source: str, text: str) -> RawTable:
     """The values of an annotated file, a row each.
 

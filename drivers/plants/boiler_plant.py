@@ -54,10 +54,6 @@ class BoilerSettings:
         x = min(max(co, 0.0), 100.0) / 100.0
         return self.power_max_c * (math.pow(self.rangeability, x) - 1.0) / (self.rangeability - 1.0)
 
-    def co_for(self, power: float) -> float:
-        """The output in percent that gives a power."""
-        return 100.0 * math.log1p(power / self.power_max_c * (self.rangeability - 1.0)) / math.log(self.rangeability)
-
 
 def flow_of(load: float) -> float:
     """Flow in units of the nominal one under a load in percent."""
@@ -132,7 +128,8 @@ class BoilerPlant:
             raise ValueError(
                 f"{pv} degC needs {needed:.0f} K of nominal flow; the burner gives 0 to {settings.power_max_c:g} K"
             )
-        return settings.co_for(needed)
+        ratio = settings.rangeability
+        return 100.0 * math.log1p(needed / settings.power_max_c * (ratio - 1.0)) / math.log(ratio)
 
     def linearise(self, pv: float, load: float = 0.0) -> LinearProcess:
         """Gain P'(co)/w, lags of tank and sensor, delay of the pipe at this temperature and flow: see plant.Plant."""

@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import os
 import pickle
 import signal
 import struct
@@ -12,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from retuner.drivers.plants.foreign_model import ModelSpec, PlantFaultError
-from retuner.drivers.plants.plant_process import FLOATS, TROUBLE, on_pipe
+from retuner.drivers.plants.plant_process import FLOATS, TROUBLE
 
 if TYPE_CHECKING:
     from retuner.drivers.plants.fmu_model import FmuModel
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 def main(handle: int) -> None:
     """Make the model, then answer steps until the pipe ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the device's to answer
-    pipe = on_pipe(handle)
+    pipe = Connection(os.dup(handle))
     sys.path.append(str(Path.cwd()))  # behind everything: a folder of the user's must not stand before a package
     spec = pickle.loads(pipe.recv_bytes())  # noqa: S301  from this program's own other half
     model = None

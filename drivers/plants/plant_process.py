@@ -10,7 +10,6 @@ stands still while a step is worked out, so only the machine's clock can tell th
 """
 
 import json
-import os
 import pickle
 import signal
 import socket
@@ -119,8 +118,3 @@ class ModelInProcess:
     def _end(self) -> None:
         self._process.kill()
         self._process.wait()
-
-
-def on_pipe(handle: int) -> Connection:
-    """The other end of the pipe, in the process of the model."""
-    return Connection(os.dup(handle))

@@ -16,7 +16,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from retuner.adaptive.audit.common_swing import CommonSwing, Swinging, common_swings, grouped, interactions
+from retuner.adaptive.audit.common_swing import CommonSwing, Swinging, common_swings, interactions
 from retuner.adaptive.audit.loop_screen import DAY_S
 from retuner.adaptive.audit.tracks import SwingTrack, TrendTrack, cascades, twins
 from retuner.adaptive.audit.verdict import FOR_CONDITION, SWINGS, AuditAction
@@ -116,7 +116,7 @@ def ranked(rows: Iterable[Row], before: Sequence[Row] = ()) -> tuple[list[Row], 
     damped, swinging = ([one for one in some if one.tag not in again] for some in (damped, swinging))
     groups = [*interactions(damped), *common_swings(swinging)]
     masters = cascades({tag: trend for tag, trend in trends.items() if tag not in again})
-    group_of = grouped(groups)
+    group_of = {tag: group for group in groups for tag in group.tags}
     earlier = {str(row["tag"]): row for row in before}
     for row in listed:
         # what other loops have to do with one: its group, its cascade

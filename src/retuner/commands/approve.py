@@ -14,7 +14,6 @@ from retuner.config.loading import load_session
 from retuner.config.model import Config
 from retuner.decision_page.decision_words import settings_text
 from retuner.decision_page.shown_units import show_units_of
-from retuner.decisions.proposed_schedule import table_in
 from retuner.errors import LedgerError, UserError, one_line, user_input
 from retuner.files import write_whole
 from retuner.gain_export.schedule_into import schedule_into
@@ -162,7 +161,7 @@ def _take_up(place: LoopPlace, full: str, options: ApproveOptions) -> int:
     if into is None:
         raise UserError(f"{full[:SHORTEST]}: is a schedule; name the configuration that gets it with --into")
     with user_input(f"proposal {full[:SHORTEST]}"):
-        table = table_in(place.shown.schedules[full])
+        table = from_toml(str(place.shown.schedules[full]["table"]))
     today = dt.datetime.now(dt.UTC).date().isoformat()
     why = f": {options.note}" if options.note else ""
     note = one_line(f"proposal {full[:SHORTEST]} of {place.session}, approved by {_name(options)} on {today}{why}")

@@ -202,7 +202,7 @@ class Config(Section):
         """What must hold between sections."""
         for k, axis in enumerate(self.schedule.axes):
             unit, low, high = self.limits_of(axis)
-            path = ("schedule", *self.schedule.axis_path(k))
+            path = ("schedule", *(("axis", k) if self.schedule.axis else ()))
             for i, bound in enumerate(axis.bounds):
                 if not low < bound < high:
                     yield Problem(

@@ -85,7 +85,7 @@ class BoilerPlantConfig(_PlantSection):
         return BoilerSettings(**self.model_dump(exclude={"kind", "start_c", "loads"}))
 
 
-OF_A_PLACE = {
+OF_A_PLACE = {  # settings of a loop's place; the others are the model's, and equal for all of its loops
     "input", "output", "aux", "load_input", "start_co_pct", "noise", "loads", "input_scale", "input_offset",
     "output_scale", "output_offset", "start_pv",
 }  # fmt: skip
@@ -112,11 +112,6 @@ class ModelSection(_PlantSection):
     )
     start_co_pct: float = setting("Output at the start, under which the model is at rest", "-200..200 %", 50.0)
     noise: float = setting("Standard deviation of the measurement noise", f"0..{LARGE} pv", 0.0)
-
-    @property
-    def of_the_model(self) -> dict[str, object]:
-        """Settings that are the model's, and equal for all of its loops; the others are those of a loop's place."""
-        return self.model_dump(exclude=OF_A_PLACE)
 
     def problems(self) -> Iterator[Problem]:
         """Names that need each other."""

@@ -8,7 +8,6 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from retuner.config.section import Many, Problem, Section, setting
-from retuner.config.toml_lines import Path
 from retuner.schedule.controller_units import Acting, ControllerUnits
 from retuner.schedule.dials import KEYS, Dial
 from retuner.schedule.gains import Form, PidGains
@@ -239,10 +238,6 @@ class ScheduleConfig(Section):
         if self.axis:
             return self.axis
         return (AxisConfig.model_construct(None, **{key: getattr(self, key) for key in SIMPLE}),)
-
-    def axis_path(self, i: int) -> Path:
-        """Where the keys of an axis stand in this section."""
-        return ("axis", i) if self.axis else ()
 
     @property
     def shape(self) -> tuple[int, ...]:

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 
 from retuner.config.bench_config import OutputConfig
 from retuner.config.model import Config
-from retuner.config.plants import ModelSection
+from retuner.config.plants import OF_A_PLACE, ModelSection
 from retuner.config.section import Problem
 from retuner.config.toml_lines import Path
 from retuner.errors import UserError
@@ -103,7 +103,7 @@ def _between(earlier: Config, later: Config) -> Iterator[Problem]:
 def _shared_plant(config: Config) -> tuple[str, dict[str, object]]:
     """Name and settings of the plant that a loop shares with others; no name for none."""
     plant = config.device.plant if config.device else None
-    return (plant.shared, plant.of_the_model) if isinstance(plant, ModelSection) else ("", {})
+    return (plant.shared, plant.model_dump(exclude=OF_A_PLACE)) if isinstance(plant, ModelSection) else ("", {})
 
 
 def folder_name(loop: str) -> str:

@@ -14,7 +14,7 @@ from retuner.adaptive.supervision.retuner import Retuner
 from retuner.config.model import Config
 from retuner.products import product
 from retuner.schedule.config_section import schedule_section
-from retuner.schedule.document import from_toml, to_toml
+from retuner.schedule.document import to_toml
 from retuner.schedule.regions import CAN
 from retuner.schedule.table import GainTable
 
@@ -62,11 +62,6 @@ def same_proposal(body: Mapping[str, Any], found: "Refinement | None", *, rounde
         return bool(len(body["proposal"]["gains"]) == len(found.table.gains))
     again = {"hash": digest_of(found.table), "proposal": json.loads(json.dumps(found.to_dict()))}
     return again == {name: body[name] for name in again}
-
-
-def table_in(body: Mapping[str, Any]) -> GainTable:
-    """The schedule of a row. Raises KeyError, ValueError: the row is not what a session writes."""
-    return from_toml(str(body["table"]))
 
 
 def taken_up(loops: Iterable[Config]) -> list[dict[str, object]]:

@@ -88,17 +88,6 @@ COURSE: dict[tuple[SessionPhase, SessionInput], SessionPhase] = {
 TO_END, OVER = (P.ENDING, P.FAILING), (P.SETTLED, P.LEFT_OPEN)
 
 
-def no_orders(t_s: float) -> Iterable[Decision]:
-    """Nobody orders anything."""
-    del t_s
-    return ()
-
-
-def no_memory(t_s: float) -> None:
-    """Keep nothing beyond this session."""
-    del t_s
-
-
 class LoopSession:
     """See the head of this file.
 
@@ -126,8 +115,8 @@ class LoopSession:
         self._on_sample = on_sample
         self.frozen = ""
         self.bumps: LoopBumps | None = None  # bumps the setpoint, where that is allowed
-        self.remember: Callable[[float], None] = no_memory
-        self.orders: Callable[[float], Iterable[Decision]] = no_orders  # decisions on what people ordered by now
+        self.remember: Callable[[float], None] = lambda _t_s: None
+        self.orders: Callable[[float], Iterable[Decision]] = lambda _t_s: ()  # decisions on what people ordered by now
         self.samples = 0  # seen so far: the place of a row in the order of events, for replay
         self._events: deque[Event] = deque()  # told by the device, and not dealt with yet
         self._sampled_s = math.inf  # when the newest sample came, by the clock of poll
