@@ -10,10 +10,9 @@ control or its variable left the state being learned; what happens without such 
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from enum import StrEnum
-from itertools import pairwise
-from typing import NamedTuple
+from itertools import chain, pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -204,27 +203,6 @@ def inside_region(regions: Regions, region: int) -> Callable[[LoopSample], bool]
     return inside
 
 
-@dataclass(frozen=True, slots=True)
-class _JudgedWindow:
-    """What is judged. samples are the window's, kept is pv as far as it is kept; during marks those of the response
-    itself, shape (n,).
-    """
-
-    window: Window
-    samples: Sequence[LoopSample]
-    kept: npt.NDArray[np.float64]
-    response: Response
-    during: npt.NDArray[np.bool_]
-    inside: Callable[[LoopSample], bool] | None
-    settings: AdmissionSettings
-    pv_range: tuple[float, float]
-    ki: float
-
-    @property
-    def own(self) -> list[LoopSample]:
-        return [sample for sample, own in zip(self.samples, self.during, strict=True) if own]
-
-
 def admit(
     window: Window,
     samples: Sequence[LoopSample],
@@ -247,99 +225,105 @@ def admit(
     n = len(window.t_s)
     if len(samples) < n:
         raise ValueError(f"a window of {n} samples cannot have been made of {len(samples)}")
-    own = (window.t_s >= response.t_start_s) & (window.t_s <= response.t_end_s)
-    kept = np.array([sample.pv for sample in samples])
-    seen = _JudgedWindow(window, list(samples)[-n:], kept, response, own, inside, settings, pv_range, abs(ki))
-    numbers = AdmissionNumbers()
-    for rule in _RULES:
-        counted = rule(seen)
-        numbers = numbers.joined(counted.numbers)
-        if counted.against is not None:
-            return Admission(counted.against, numbers)
+    numbers, newest = AdmissionNumbers(), list(samples)[-n:]
+    during = (window.t_s >= response.t_start_s) & (window.t_s <= response.t_end_s)
+    own = [sample for sample, is_own in zip(newest, during, strict=True) if is_own]
+    if not (window.t_s[0] <= response.t_start_s and own):  # nothing of it may have been forgotten before it ended
+        return Admission(Ground.TOO_LONG, AdmissionNumbers(kept=float(n)))
+    pv = np.array([sample.pv for sample in samples])
+    of_record = _of_record(window, newest, pv, response, settings, pv_range, abs(ki))
+    of_loop = _of_loop(window, own, during, response, settings, inside)
+    for counted, ground in chain(of_record, of_loop):
+        numbers = numbers.joined(counted)
+        if ground is not None:
+            return Admission(ground, numbers)
     return Admission(Ground.ADMITTED, numbers)
 
 
-class _Counted(NamedTuple):
-    """What a rule counted, with its limit where that is not kept; against : the ground then."""
-
-    numbers: AdmissionNumbers
-    against: Ground | None = None
+Counted = tuple[AdmissionNumbers, Ground | None]
+"""What a rule counted, with its limit where that is not kept, and the ground against the response then."""
 
 
-def _at_most(limit: float, numbers: AdmissionNumbers, value: float, ground: Ground) -> _Counted:
-    return _Counted(numbers) if value <= limit else _Counted(replace(numbers, limit=limit), ground)
-
-
-def _kept_whole(seen: _JudgedWindow) -> _Counted:
-    """The response is kept whole: nothing of it was forgotten before it ended."""
-    if seen.window.t_s[0] <= seen.response.t_start_s and bool(np.any(seen.during)):
-        return _Counted(AdmissionNumbers())
-    return _Counted(AdmissionNumbers(kept=float(len(seen.samples))), Ground.TOO_LONG)
-
-
-def _in_automatic(seen: _JudgedWindow) -> _Counted:
-    manual = float(sum(sample.mode != LoopMode.AUTO for sample in seen.samples))
-    return _Counted(AdmissionNumbers(manual=manual), Ground.MANUAL if manual else None)
-
-
-def _measured(seen: _JudgedWindow) -> _Counted:
-    """Never far outside of what the transmitter can say: that was a fault of the signal, or somebody else's frame."""
-    low, high = seen.pv_range
+def _of_record(
+    window: Window, samples: Sequence[LoopSample], kept: npt.NDArray[np.float64], response: Response,
+    settings: AdmissionSettings, pv_range: tuple[float, float], ki: float,
+) -> Iterator[Counted]:  # fmt: skip
+    """Is the record that of a loop under control, by a sensor that lives? kept : pv as far as it is kept."""
+    manual = float(sum(sample.mode != LoopMode.AUTO for sample in samples))
+    yield AdmissionNumbers(manual=manual), Ground.MANUAL if manual else None
+    # Never far outside of what the transmitter can say: that was a fault of the signal, or somebody else's frame
+    low, high = pv_range
     room = RANGE_ROOM * (high - low)
-    worst = max((sample.pv for sample in seen.samples), key=lambda pv: max(low - pv, pv - high))
-    if low - room <= worst <= high + room:
-        return _Counted(AdmissionNumbers())
-    return _Counted(AdmissionNumbers(pv_worst=worst, pv_low=low, pv_high=high), Ground.OUT_OF_RANGE)
-
-
-def _sensor_lives(seen: _JudgedWindow) -> _Counted:
-    """It did not stand still while the controller acted on it."""
-    found = stood_still(seen.kept, len(seen.window.t_s))
-    if found is None:
-        return _Counted(AdmissionNumbers())
-    samples, pv = found
-    room = AT_END * (seen.pv_range[1] - seen.pv_range[0])
-    clipped = any(abs(pv - end) <= room for end in seen.pv_range if math.isfinite(end))
-    return _Counted(
-        AdmissionNumbers(stuck=float(samples), stuck_at=pv), Ground.PV_CLIPPED if clipped else Ground.PV_STUCK
-    )
-
-
-def _telemetry(seen: _JudgedWindow) -> _Counted:
-    """Complete, even in time, and new at every sample."""
-    steps = np.diff(seen.window.t_s) / seen.window.sample_time_s
+    worst = max((sample.pv for sample in samples), key=lambda pv: max(low - pv, pv - high))
+    if not low - room <= worst <= high + room:
+        yield AdmissionNumbers(pv_worst=worst, pv_low=low, pv_high=high), Ground.OUT_OF_RANGE
+    # Telemetry complete, even in time, and new at every sample
+    steps = np.diff(window.t_s) / window.sample_time_s
     whole = np.maximum(np.round(steps), 1.0)
     missing = float(np.sum(whole - 1.0))
     lost = missing / (len(steps) + missing)
-    uneven = float(np.mean(np.abs(steps - whole) > seen.settings.uneven))
+    uneven = float(np.mean(np.abs(steps - whole) > settings.uneven))
     # Share of the samples that repeat the one before although integral action must have moved co
-    moves = np.abs(np.diff(seen.window.co))
+    moves = np.abs(np.diff(window.co))
     count = float(np.min(moves[moves > 0], initial=math.inf))  # a converter's, where co is coarse
-    least = max(seen.response.band, count / (seen.ki * seen.window.sample_time_s) if seen.ki else math.inf)
-    again = [a[1:4] == b[1:4] and not b.limited and abs(b.sp - b.pv) > least for a, b in pairwise(seen.samples)]
+    least = max(response.band, count / (ki * window.sample_time_s) if ki else math.inf)
+    again = [a[1:4] == b[1:4] and not b.limited and abs(b.sp - b.pv) > least for a, b in pairwise(samples)]
     repeated = sum(again) / len(again)
     numbers = AdmissionNumbers(lost_share=lost, uneven_share=uneven, repeated_share=repeated)
-    for share, limit, ground in (
-        (lost, seen.settings.lost_share, Ground.LOST_SAMPLES),
-        (uneven, seen.settings.uneven_share, Ground.IRREGULAR),
-        (repeated, seen.settings.repeated_share, Ground.REPEATED),
-    ):
-        if share > limit:
-            return _Counted(replace(numbers, limit=limit), ground)
-    return _Counted(numbers)
+    yield from (
+        (replace(numbers, limit=limit), ground)
+        for share, limit, ground in (
+            (lost, settings.lost_share, Ground.LOST_SAMPLES),
+            (uneven, settings.uneven_share, Ground.IRREGULAR),
+            (repeated, settings.repeated_share, Ground.REPEATED),
+        )
+        if share > limit
+    )
+    yield numbers, None
+    # The sensor did not stand still while the controller acted on it
+    stood = stood_still(kept, len(window.t_s))
+    if stood is not None:
+        room = AT_END * (high - low)
+        clipped = any(abs(stood[1] - end) <= room for end in pv_range if math.isfinite(end))
+        ground = Ground.PV_CLIPPED if clipped else Ground.PV_STUCK
+        yield AdmissionNumbers(stuck=float(stood[0]), stuck_at=stood[1]), ground
 
 
-def _in_region(seen: _JudgedWindow) -> _Counted:
-    """It stayed inside, where it is not taken as one that crossed a border (region_model/boundary_crossing.py)."""
-    inside, limit = seen.inside, seen.settings.outside_share
-    outside = sum(inside is not None and not inside(sample) for sample in seen.own) / len(seen.own)
-    return _at_most(limit, AdmissionNumbers(outside_share=outside), outside, Ground.LEFT_REGION)
+def _of_loop(
+    window: Window, own: Sequence[LoopSample], during: npt.NDArray[np.bool_], response: Response,
+    settings: AdmissionSettings, inside: Callable[[LoopSample], bool] | None,
+) -> Iterator[Counted]:  # fmt: skip
+    """Is it one controller in one region, its output free, and does it show anything?
+
+    own : samples of the response itself; during : their places in the window.
+    """
+    # It stayed inside, where it is not taken as one that crossed a border (region_model/boundary_crossing.py)
+    outside = sum(inside is not None and not inside(sample) for sample in own) / len(own)
+    yield _at_most(settings.outside_share, AdmissionNumbers(outside_share=outside), outside, Ground.LEFT_REGION)
+    # One controller all the time, as the controller itself reports it
+    changes = float(sum(a.revision != b.revision for a, b in pairwise(own)))
+    yield _at_most(float(settings.changes_most), AdmissionNumbers(changes=changes), changes, Ground.GAINS_CHANGED)
+    # The setpoint is the loop's own: a slave's is its master's output, and moves all the time
+    numbers, led = _moved(window, response, settings)
+    most, most_share = float(settings.moves_most), settings.moving_share
+    yield (replace(numbers, limit=most, limit_share=most_share), Ground.SETPOINT_LED) if led else (numbers, None)
+    # The output is free: not at a limit for longer than the user wants to learn from
+    share = sum(sample.limited != 0 for sample in own) / len(own)
+    yield _at_most(settings.limited_share, AdmissionNumbers(limited_share=share), share, Ground.SATURATED)
+    # co and pv move, and the response stands out of the noise, or is that of a step which is known: what a setpoint
+    # step of any height shows is told by the covariance of its fit
+    bands = float(np.max(np.abs(window.sp - window.pv)[during])) / response.band
+    numbers, least = AdmissionNumbers(peak_bands=bands), settings.excitation_bands
+    frozen_co = Ground.SATURATED if all(sample.limited for sample in own) else Ground.CO_FROZEN
+    for ground, values in ((frozen_co, window.co), (Ground.PV_FROZEN, window.pv)):
+        if values.max() == values.min():
+            yield replace(numbers, limit=settings.limited_share), ground
+    shows = bands >= least or response.sp_changed
+    yield (numbers, None) if shows else (replace(numbers, limit=least), Ground.LOW_EXCITATION)
 
 
-def _same_gains(seen: _JudgedWindow) -> _Counted:
-    """One controller all the time, as the controller itself reports it."""
-    changes, limit = float(sum(a.revision != b.revision for a, b in pairwise(seen.own))), seen.settings.changes_most
-    return _at_most(float(limit), AdmissionNumbers(changes=changes), changes, Ground.GAINS_CHANGED)
+def _at_most(limit: float, numbers: AdmissionNumbers, value: float, ground: Ground) -> Counted:
+    return (numbers, None) if value <= limit else (replace(numbers, limit=limit), ground)
 
 
 def setpoint_led(window: Window, response: Response, settings: AdmissionSettings) -> bool:
@@ -355,42 +339,3 @@ def _moved(window: Window, response: Response, settings: AdmissionSettings) -> t
     few = moves <= settings.moves_most and share <= settings.moving_share
     led = not few and float(np.sum(steps)) > response.band
     return AdmissionNumbers(moves=moves, moving_share=share), led
-
-
-def _own_setpoint(seen: _JudgedWindow) -> _Counted:
-    """The setpoint is the loop's own: a slave's is its master's output, and moves all the time."""
-    numbers, led = _moved(seen.window, seen.response, seen.settings)
-    most, most_share = float(seen.settings.moves_most), seen.settings.moving_share
-    if not led:
-        return _Counted(numbers)
-    return _Counted(replace(numbers, limit=most, limit_share=most_share), Ground.SETPOINT_LED)
-
-
-def _free_output(seen: _JudgedWindow) -> _Counted:
-    """The output is free: not at a limit for longer than the user wants to learn from."""
-    own, limit = seen.own, seen.settings.limited_share
-    share = sum(sample.limited != 0 for sample in own) / len(own)
-    return _at_most(limit, AdmissionNumbers(limited_share=share), share, Ground.SATURATED)
-
-
-def _excited(seen: _JudgedWindow) -> _Counted:
-    """co and pv move, and the response stands out of the noise, or is that of a step which is known.
-
-    What a setpoint step of any height shows is told by the covariance of its fit.
-    """
-    error = np.abs(seen.window.sp - seen.window.pv)[seen.during]
-    bands, least = float(np.max(error)) / seen.response.band, seen.settings.excitation_bands
-    numbers = AdmissionNumbers(peak_bands=bands)
-    frozen_co = Ground.SATURATED if all(sample.limited for sample in seen.own) else Ground.CO_FROZEN
-    for ground, values in ((frozen_co, seen.window.co), (Ground.PV_FROZEN, seen.window.pv)):
-        if values.max() == values.min():
-            return _Counted(replace(numbers, limit=seen.settings.limited_share), ground)
-    if bands >= least or seen.response.sp_changed:
-        return _Counted(numbers)
-    return _Counted(replace(numbers, limit=least), Ground.LOW_EXCITATION)
-
-
-_RULES = (
-    _kept_whole, _in_automatic, _measured, _telemetry, _sensor_lives, _in_region, _same_gains, _own_setpoint,
-    _free_output, _excited,
-)  # fmt: skip
