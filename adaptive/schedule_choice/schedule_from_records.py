@@ -265,67 +265,33 @@ def _inside(one: SchedulingVariable, x: float) -> bool:
 def _refused(chosen: _Chosen, places: Sequence[Place]) -> str:
     """Why no sets follow; empty where they may."""
     found, visited = chosen.curves, _visited(chosen, places)
-    return _at_rest(found) or _unexplained(found) or _differs(found) or _hardly_known(places, visited)
-
-
-def _at_rest(found: Curves) -> str:
-    """Why the records tell nothing at all; empty where pv moves in them."""
     stretches = found.joint.stretches
-    if any(map(tells, stretches)):
-        return ""
-    noise = max(noise_sigma(s.pv) for s in stretches)
-    return (
-        f"these records tell nothing: pv does not move beyond its noise ({noise:.3g}); "
-        "give records in which the setpoint changes"
-    )
-
-
-def _unexplained(found: Curves) -> str:
-    """Why the curves explain the records only with the help of loads that no plant has; empty where they do."""
-    # Load steps that move pv by more than a form leaves unexplained
-    counted = 0
-    for stretch, rows, sizes in zip(found.joint.stretches, found.joint.loads, found.now.sizes, strict=True):
+    if not any(map(tells, stretches)):
+        noise = max(noise_sigma(s.pv) for s in stretches)
+        return (
+            f"these records tell nothing: pv does not move beyond its noise ({noise:.3g}); "
+            "give records in which the setpoint changes"
+        )
+    # Load steps that move pv by more than a form leaves unexplained: no plant has so many
+    loads = 0
+    for stretch, rows, sizes in zip(stretches, found.joint.loads, found.now.sizes, strict=True):
         x2 = None if stretch.x2 is None else np.array([float(np.mean(stretch.x2))])
         ln = found.ln(np.array([float(np.mean(stretch.x))]), x2)[0]
         gain = math.exp(ln[0] + ln[2])
         nets = np.asarray(sizes[: len(rows)]).reshape(-1, 2).sum(axis=1)  # each enters between two rows
-        counted += int(np.sum(np.abs(nets) * gain > SMALL_LOAD * float(np.ptp(stretch.pv))))
-    loads, stretches = counted, len(found.joint.stretches)
-    if loads <= LOADS_A_STRETCH * stretches:
-        return ""
-    return (
-        f"not explained: {loads} load steps would have to have happened in {stretches} stretches of the records; "
-        "something else moves pv"
-    )
-
-
-SMALL_LOAD = 0.03
-"""Share of a stretch's travel by which a load must move pv at rest to count: less mends what a form leaves."""
-
-
-DIFFERS = 0.5
-"""Standard deviation of ln p between stretches from which no curve over the variable serves: a factor of 1.6."""
-ASKS = 0.25  # share from which another variable is tried beside the first
-TOLD_OF = ("slope gain", "dead time", "lag", "second lag")
-
-
-def _differs(found: Curves) -> str:
-    """Why the stretches are of several processes at one and the same place; empty where they agree."""
+        loads += int(np.sum(np.abs(nets) * gain > SMALL_LOAD * float(np.ptp(stretch.pv))))
+    if loads > LOADS_A_STRETCH * len(stretches):
+        return (
+            f"not explained: {loads} load steps would have to have happened in {len(stretches)} stretches of the "
+            "records; something else moves pv"
+        )
     apart = [(v, name) for v, name in zip(found.differences, TOLD_OF, strict=False) if v >= DIFFERS]
-    if not apart:
-        return ""
-    most, name = max(apart)
-    return (
-        f"something else changes the process: its {name} differs by a factor of {math.exp(most):.1f} from stretch to "
-        "stretch at the same place; name what changes with it as the variable"
-    )
-
-
-LEAST_KNOWN = 0.5  # share of the visited places that must be known: fewer say nothing of a schedule over the variable
-
-
-def _hardly_known(places: Sequence[Place], visited: Sequence[bool]) -> str:
-    """Why too few places are known well enough; empty where they do."""
+    if apart:  # the stretches are of several processes at one and the same place
+        most, name = max(apart)
+        return (
+            f"something else changes the process: its {name} differs by a factor of {math.exp(most):.1f} from stretch "
+            "to stretch at the same place; name what changes with it as the variable"
+        )
     known, been = sum(place.known for place in places), sum(visited)
     if known and known >= LEAST_KNOWN * been:
         return ""
@@ -335,6 +301,15 @@ def _hardly_known(places: Sequence[Place], visited: Sequence[bool]) -> str:
     if not known:
         return f"nowhere accurate enough: {factor}"
     return f"accurate enough at {known} of the {been} places that the records visit; at the others {factor}"
+
+
+SMALL_LOAD = 0.03
+"""Share of a stretch's travel by which a load must move pv at rest to count: less mends what a form leaves."""
+DIFFERS = 0.5
+"""Standard deviation of ln p between stretches from which no curve over the variable serves: a factor of 1.6."""
+ASKS = 0.25  # share from which another variable is tried beside the first
+TOLD_OF = ("slope gain", "dead time", "lag", "second lag")
+LEAST_KNOWN = 0.5  # share of the visited places that must be known: fewer say nothing of a schedule over the variable
 
 
 def _affordable(places: Sequence[Place], limits: DesignLimits, lookup: str) -> tuple[Layout | Cells | None, float]:

@@ -5,13 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from retuner.adaptive.schedule_choice import schedule_from_records
-from retuner.adaptive.schedule_choice.schedule_from_records import (
-    _at_rest,
-    _counted,
-    _differs,
-    _hardly_known,
-    _unexplained,
-)
+from retuner.adaptive.schedule_choice.schedule_from_records import _counted, _refused
 from retuner.adaptive.schedule_design.places import DesignLimits, place_at
 from retuner.adaptive.schedule_design.record_stretches import cut, signals_of, without_gaps
 from retuner.adaptive.signals.sample import Window
@@ -31,22 +25,31 @@ def test_a_small_dead_time_that_may_be_hours_makes_no_place_known():
     assert not place_at(curves(3.0), 1.0, 1.5, DesignLimits()).known
 
 
+def known(n):
+    return [SimpleNamespace(x=float(i), known=i < n, gain_std=0.3) for i in range(25)]
+
+
+def refused(moved=10.0, rows=2, size=1.0, differences=(0.25, 0.06, 0.12), places=25):
+    """Why no sets follow from records in which pv moves by so much, and how many stretches they have."""
+    t, rng = np.arange(200.0), np.random.default_rng(1)
+    pv = 20 + rng.normal(0.0, 0.1, 200) + moved * (t > 100)
+    stretches = cut(signals_of(Window(t, np.full(200, 20.0), pv, 30 - (pv - 20)), pv, 1))
+    joint = SimpleNamespace(loads=[(1,) * rows] * len(stretches), stretches=stretches)
+    now, ln = SimpleNamespace(sizes=[np.full(rows, size)] * len(stretches)), np.log([[0.1, 1.0, 10.0]])
+    found = SimpleNamespace(joint=joint, now=now, ln=lambda *_: ln, differences=differences)
+    five = SimpleNamespace(span=lambda: (0.0, 4.0))  # places that the records visit
+    return _refused(SimpleNamespace(curves=found, one=five, two=None), known(places)), len(stretches)
+
+
 def test_records_that_need_two_load_steps_a_stretch_are_not_explained():
-    stretch = SimpleNamespace(x=np.zeros(3), x2=None, pv=np.array([0.0, 10.0]))
-
-    def fitted(rows, size):
-        joint = SimpleNamespace(loads=[(1,) * rows] * 10, stretches=[stretch] * 10)
-        now = SimpleNamespace(sizes=[np.full(rows, size)] * 10)
-        return SimpleNamespace(joint=joint, now=now, ln=lambda *_: np.log([[0.1, 1.0, 10.0]]))
-
-    assert _unexplained(fitted(2, 1.0)) == ""
-    assert "20 load steps" in _unexplained(fitted(4, 1.0))
-    assert _unexplained(fitted(4, 0.1)) == "", "what moves pv by 2 % of its travel mends a form, it is no load"
+    assert refused()[0] == ""
+    reason, stretches = refused(rows=4)
+    assert f"not explained: {2 * stretches} load steps" in reason
+    assert refused(rows=4, size=0.1)[0] == "", "what moves pv by 2 % of its travel mends a form, it is no load"
 
 
 def test_stretches_that_differ_at_one_place_give_no_settings():
-    assert _differs(SimpleNamespace(differences=(0.25, 0.06, 0.12))) == ""
-    assert "slope gain differs by a factor of 1.6" in _differs(SimpleNamespace(differences=(0.5, 0.03, 0.06)))
+    assert "slope gain differs by a factor of 1.6" in refused(differences=(0.5, 0.03, 0.06))[0]
 
 
 def test_a_process_that_needs_too_many_sets_gets_slower_ones(monkeypatch):
@@ -73,16 +76,8 @@ def test_a_process_that_needs_too_many_sets_gets_slower_ones(monkeypatch):
 
 
 def test_records_in_which_pv_does_not_leave_its_noise_tell_nothing():
-    rng = np.random.default_rng(1)
-
-    def fitted(moved):
-        t = np.arange(200.0)
-        pv = 20 + rng.normal(0.0, 0.1, 200) + moved * (t > 100)
-        window = Window(t, np.full(200, 20.0), pv, 30 - (pv - 20))
-        return SimpleNamespace(joint=SimpleNamespace(stretches=cut(signals_of(window, pv, 1))))
-
-    assert "tell nothing" in _at_rest(fitted(0.0))
-    assert _at_rest(fitted(1.0)) == ""
+    assert "tell nothing" in refused(moved=0.0)[0]
+    assert refused(moved=1.0, size=0.001)[0] == ""
 
 
 def test_a_gap_in_a_record_parts_it_and_nothing_is_made_up_in_it():
@@ -96,13 +91,8 @@ def test_a_gap_in_a_record_parts_it_and_nothing_is_made_up_in_it():
 
 
 def test_one_known_place_in_five_visited_ones_gives_no_settings():
-    def known(n):
-        return [SimpleNamespace(known=i < n, gain_std=0.3) for i in range(25)]
-
-    visited = [i < 5 for i in range(25)]
-
-    assert "at 1 of the 5 places that the records visit" in _hardly_known(known(1), visited)
-    assert "nowhere" in _hardly_known(known(0), visited)
-    assert _hardly_known(known(3), visited) == "", "what was not visited asks for nothing"
+    assert "at 1 of the 5 places that the records visit" in refused(places=1)[0]
+    assert "nowhere" in refused(places=0)[0]
+    assert refused(places=3)[0] == "", "what was not visited asks for nothing"
     assert "the 3 of 25 places that are known" in _counted(1, "hard", known(3), 1.25, 1.25)
     assert "every place" in _counted(1, "hard", known(25), 1.25, 1.25)
