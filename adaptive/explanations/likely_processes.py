@@ -57,7 +57,7 @@ class LikelyProcesses:
     """The likeliest processes of the grid.
 
     index : of shape, dead time and gain. weights : sum 1. responses : G(jw), shape (processes, frequencies).
-    later : dead time beside that of the grid, samples.
+    later : dead time beside that of the grid, samples. asked : Ms by gains, which are asked for again and again.
     """
 
     index: tuple[tuple[int, int, int], ...]
@@ -65,11 +65,14 @@ class LikelyProcesses:
     responses: ComplexArray
     sample_time_s: float
     later: FloatArray = field(default_factory=lambda: np.zeros(1))
+    asked: dict[PidGains, FloatArray] = field(default_factory=dict, init=False)
 
     def peaks(self, gains: PidGains) -> FloatArray:
         """Ms on each process, infinite where the loop is unstable; shape (processes,)."""
-        ms = 1.0 / np.min(np.abs(1.0 + self.responses * control_law(gains, self.sample_time_s)), axis=1)
-        return np.where(self.stable(gains), ms, np.inf)
+        if gains not in self.asked:
+            ms = 1.0 / np.min(np.abs(1.0 + self.responses * control_law(gains, self.sample_time_s)), axis=1)
+            self.asked[gains] = np.where(self.stable(gains), ms, np.inf)
+        return self.asked[gains]
 
     def stable(self, gains: PidGains) -> BoolArray:
         """Which of the loops are stable, shape (processes,)."""

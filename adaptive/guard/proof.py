@@ -64,7 +64,6 @@ class Loops:
 
     def __init__(self, processes: Sequence[LinearProcess], filter_s: float = 0.0) -> None:
         self._processes, self._filter_s = tuple(processes), filter_s
-        self._known: dict[tuple[int, PidGains], float] = {}
         self._order = list(range(len(self._processes)))
 
     def __len__(self) -> int:
@@ -72,10 +71,7 @@ class Loops:
 
     def ms(self, i: int, gains: PidGains) -> float:
         """Ms on one process, infinite when unstable."""
-        key = (i, gains)
-        if key not in self._known:
-            self._known[key] = sensitivity_peak(self._processes[i], gains, self._filter_s)
-        return self._known[key]
+        return sensitivity_peak(self._processes[i], gains, self._filter_s)
 
     def nominal(self, gains: PidGains) -> float:
         """Ms on the process, NaN when no model is known."""

@@ -18,6 +18,7 @@ by Newton's method on d ln|1 + L|^2 / d ln w, whose derivatives are known in clo
 import cmath
 import math
 from collections.abc import Callable
+from functools import lru_cache
 
 import numpy as np
 
@@ -328,6 +329,7 @@ def margins(process: LinearProcess, gains: PidGains, tau_f_s: float = 0.0) -> Ma
     )
 
 
+@lru_cache(maxsize=1024)  # of a decision's questions two thirds are asked again
 def sensitivity_peak(process: LinearProcess, gains: PidGains, tau_f_s: float = 0.0) -> float:
     """Ms alone, infinite when the closed loop is unstable: what the guard asks for many models."""
     loop = open_loop(process, gains, tau_f_s)

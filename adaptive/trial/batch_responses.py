@@ -8,6 +8,7 @@ performance.py is exact, for one loop at a time, and takes as long for one as th
 """
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 
@@ -74,6 +75,7 @@ def traces(loops: Sequence[ClosedLoop], upsets: Sequence[Upset]) -> list[list[Tr
     ]
 
 
+@lru_cache(maxsize=64)  # each loop stands in several batches of a decision
 def crossover(loop: ClosedLoop) -> float:
     """Highest frequency at which the loop's gain is 1, rad/s, on a grid: a scale, not a margin."""
     p, g = loop.process, loop.gains
