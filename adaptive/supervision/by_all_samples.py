@@ -30,7 +30,7 @@ from retuner.adaptive.explanations.settings_by_book import BookSettings, ByBook,
 from retuner.adaptive.explanations.tone import tone_of
 from retuner.adaptive.explanations.wandering_load import TEMPER, Prepared, lead_of_steps, log_likelihoods
 from retuner.adaptive.guard import Proof, prove
-from retuner.adaptive.guard.request import ChangeRequest, Evidence
+from retuner.adaptive.guard.request import Evidence
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.region_model.region_model import RegionModel
@@ -47,7 +47,7 @@ from retuner.adaptive.supervision.confirmation import (
 from retuner.adaptive.supervision.decision import Outcome
 from retuner.adaptive.supervision.findings import Findings
 from retuner.adaptive.supervision.judge_evidence import AGREED, may_follow
-from retuner.adaptive.supervision.known_processes import KnownProcesses
+from retuner.adaptive.supervision.known_processes import KnownProcesses, on_models, unproved_request
 from retuner.adaptive.supervision.question import OTHER_LOOP, Look
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.trial.phase import TrialPhase
@@ -390,13 +390,10 @@ def _proved_by_all_samples(found: Findings, own: Outcome, seen: AllSamples) -> O
     if also is None:
         return None
     known = KnownProcesses(record.table, record.region_models, float(record.window.t_s[-1]), settings)
-    request = ChangeRequest(
-        record.table.gains_of(region), record.commissioned.gains_of(region), told.tuning,
-        (*told.models, *(Plausible(one.model, 0.0) for one in also)), settings.sample_time_s,
-        Evidence(records=book.records + 1), known.borders(region), filter_s=settings.filter_s,
-        locks=settings.locks_of(region), units=settings.units,
-    )  # fmt: skip
-    proof = prove(request, settings.guard)
+    models = (*told.models, *(Plausible(one.model, 0.0) for one in also))
+    asked = unproved_request(told.tuning, region, (record.table, record.commissioned), settings)
+    asked = on_models(asked, known, region, models, Evidence(records=book.records + 1))
+    proof = prove(asked, settings.guard)
     if not proof.accepted or proof.gains is None:
         return None
     if also:  # on the likeliest of them, how much less does it cost, ln?

@@ -3,7 +3,7 @@ is put to the guard.
 """
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property, partial
 
 from retuner.adaptive.explanations.book import ODD, Book
@@ -23,7 +23,7 @@ from retuner.adaptive.region_model.update import SECONDS_PER_DAY, Agreement, Lea
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.trial.rollback import NOTHING_KNOWN, StillAllowed
-from retuner.schedule.late_dataclass import dataclass
+from retuner.schedule.late_dataclass import dataclass, replace
 from retuner.schedule.table import GainTable, Lookup
 
 HALF = 0.5  # weight of a neighbour half way to it
@@ -154,26 +154,24 @@ def change_request(
     """
     settings, model = known.settings, known.region_models[region]
     contradicting = learned is not None and learned.agreement == Agreement.CONTRADICTS
-    return ChangeRequest(
-        in_force=known.table.gains_of(region),
-        commissioned=commissioned.gains_of(region),
-        proposal=proposal,
-        models=known.allowed[region],
-        sample_time_s=settings.sample_time_s,
-        evidence=Evidence(
-            records=model.records,
-            age_s=max(known.t_s - model.t_s, 0.0),
-            innovation=learned.innovation if learned is not None and contradicting else 0.0,
-            gate=gate(len(model.log.x), settings.tracker.gate),
-            borrowed=model.records == 0,
-            settled=model.identifiable,
-        ),
-        borders=known.borders(region),
-        filter_s=settings.filter_s,
-        urgent=damping is not None and damping >= settings.guard.urgent_damping,
-        locks=settings.locks_of(region),
-        units=settings.units,
+    evidence = Evidence(
+        records=model.records,
+        age_s=max(known.t_s - model.t_s, 0.0),
+        innovation=learned.innovation if learned is not None and contradicting else 0.0,
+        gate=gate(len(model.log.x), settings.tracker.gate),
+        borrowed=model.records == 0,
+        settled=model.identifiable,
     )
+    asked = unproved_request(proposal, region, (known.table, commissioned), settings, damping)
+    return on_models(asked, known, region, known.allowed[region], evidence)
+
+
+def on_models(
+    asked: ChangeRequest, known: KnownProcesses, region: int, models: Sequence[Plausible], evidence: Evidence
+) -> ChangeRequest:
+    """The question with the models that it is put to, and the ways to the neighbours."""
+    borders, filter_s = known.borders(region), known.settings.filter_s
+    return replace(asked, models=models, evidence=evidence, borders=borders, filter_s=filter_s)
 
 
 def unproved_request(
@@ -184,15 +182,14 @@ def unproved_request(
     damping: float | None = None,
 ) -> ChangeRequest:
     """The question on a proposal that no model supports; arguments as above."""
-    in_force, commissioned = tables
-    evidence = Evidence(records=0, support=Support.PATTERN)
-    own = (in_force.gains_of(region), commissioned.gains_of(region))
+    in_force, commissioned = (table.gains_of(region) for table in tables)
     return ChangeRequest(
-        *own,
+        in_force,
+        commissioned,
         proposal,
         (),
         settings.sample_time_s,
-        evidence,
+        Evidence(records=0, support=Support.PATTERN),
         urgent=damping is not None and damping >= settings.guard.urgent_damping,
         locks=settings.locks_of(region),
         units=settings.units,

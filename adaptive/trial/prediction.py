@@ -9,7 +9,7 @@ load's response is promised over a step and a pulse of it, because either may co
 """
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from retuner.adaptive.identification.plausible import Plausible
@@ -202,34 +202,21 @@ def predict_without_model(seen: Response, old: PidGains, new: PidGains) -> Predi
     """
     overshoot, damping, before = swing([peak.e for peak in seen.peaks], seen.band)
     decay = min(before, MOST_DECAY)
-    length = seen.t_end_s - seen.t_start_s
+    length, left_open = seen.t_end_s - seen.t_start_s, Spread(math.inf, 0.0, math.inf)
 
-    def expected(gains: PidGains, iae: Callable[[PidGains], Spread]) -> Expected:
+    def expected(iae: Spread) -> Expected:
         return Expected(
             Spread(overshoot, min(overshoot, 0.0), max(overshoot, 0.0)),
             Spread(damping, min(damping, 0.0), max(damping, 0.0)),
             Spread(decay, 0.0, decay),
-            iae(gains),
-            Spread(math.inf, 0.0, math.inf),
+            iae,
+            left_open,
             Spread(length, 0.0, math.inf),
         )
 
-    def load_iae(gains: PidGains) -> Spread:
-        least = 1 / abs(gains.ki) if gains.ki else math.inf
-        return Spread(least, least, SWINGS * least)
-
-    def open_iae(gains: PidGains) -> Spread:
-        del gains
-        return Spread(math.inf, 0.0, math.inf)
-
-    return Prediction(
-        expected(new, open_iae),
-        expected(new, load_iae),
-        expected(old, open_iae),
-        expected(old, load_iae),
-        0,
-        decay_seen(seen),
-    )
+    least = [1 / abs(gains.ki) if gains.ki else math.inf for gains in (new, old)]
+    load, load_before = (expected(Spread(one, one, SWINGS * one)) for one in least)
+    return Prediction(expected(left_open), load, expected(left_open), load_before, 0, decay_seen(seen))
 
 
 def _load(shapes: Sequence[Sequence[ResponseNumbers]]) -> Expected:
