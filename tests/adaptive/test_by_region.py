@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import answer, told
+from command_line import answer, printed
 
 from retuner.adaptive.identification.by_region import by_region
 from retuner.adaptive.signals.sample import Window
@@ -74,7 +74,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     np.savetxt(path, rows, delimiter=",", header="t,sp,pv,co", comments="")
     low, high = answer("identify", path, "--region-by", "pv", "--bounds", "50")["regions"]
     assert low["gains"]["kc"] > 2 * high["gains"]["kc"] > 0
-    assert "pv 50 to inf" in told("identify", path, "--region-by", "pv", "--bounds", "50")
+    assert "pv 50 to inf" in printed("identify", path, "--region-by", "pv", "--bounds", "50")
     for wrong in (["--bounds", "50"], ["--region-by", "level", "--bounds", "50"], ["--region-by", "pv"]):
         assert main(["identify", str(path), *wrong]) == 2
         assert len(capsys.readouterr().err.strip().splitlines()) == 1

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import answer, told
+from command_line import answer, printed
 
 from retuner.adaptive.cause_odds import other_processes
 from retuner.adaptive.cause_odds.odds_settings import OddsSettings
@@ -101,7 +101,7 @@ def test_where_no_process_is_identified_the_command_tells_what_diagnose_says(tmp
     window, path = record("inverse_three_thousand_rows"), tmp_path / "loop.csv"
     columns = np.column_stack([window.t_s, window.sp, window.pv, window.co])
     np.savetxt(path, columns, delimiter=",", header="t,sp,pv,co", comments="")
-    shown = told("identify", path, status=1)
+    shown = printed("identify", path, status=1)
     assert "retuner diagnose, which weighs all processes and loads: AGGRESSIVE" in shown
     assert "recommended  Kc" in shown
     document = answer("identify", path, status=1)

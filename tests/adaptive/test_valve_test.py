@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import refused
+from command_line import printed, refused
 
 from retuner.adaptive.experiments.valve_test import STAIRCASE, read_valve_test, staircase, valve_positions
 from retuner.adaptive.loop.simulate import HeldInput
@@ -60,19 +60,16 @@ def test_a_valve_that_moves_in_jumps_has_a_resolution() -> None:
         assert 0.5 < found.resolution <= 1.0
 
 
-def test_from_a_file_to_the_finding(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_from_a_file_to_the_finding(tmp_path: Path) -> None:
     window = record(1.0, 0.0, 3)
     path = tmp_path / "valve.csv"
     rows = zip(window.t_s, window.pv, window.co, strict=True)
     path.write_text("t,pv,co\n" + "".join(f"{t:g},{pv:.4f},{co:.3f}\n" for t, pv, co in rows), encoding="utf-8")
-    assert main(["experiment", "valve", "--from", str(path)]) == 0
-    told = capsys.readouterr().out
+    told = printed("experiment", "valve", "--from", path)
     assert told.startswith("THE VALVE DOES NOT FOLLOW")
     assert "dead band  1 of co" in told
-    assert main(["experiment", "valve", "--step", "0.5"]) == 0
-    assert "+4, 4 x +0.5, 8 x -0.5, -2, 4 x -0.5, 8 x +0.5, -2" in capsys.readouterr().out
-    assert main(["experiment", "valve", "--step", "0.5", "--short"]) == 0
-    assert "2 x +0.5, 2 x -0.5" in capsys.readouterr().out
+    assert "+4, 4 x +0.5, 8 x -0.5, -2, 4 x -0.5, 8 x +0.5, -2" in printed("experiment", "valve", "--step", "0.5")
+    assert "2 x +0.5, 2 x -0.5" in printed("experiment", "valve", "--step", "0.5", "--short")
     assert main(["experiment", "valve", "--step", "50"]) == 2
     assert "--hold: missing" in refused("experiment", "valve", "loop.toml")
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from command_line import answer, refused
+from command_line import answer, printed, refused
 
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Mode
@@ -99,12 +99,11 @@ def test_an_approved_proposal_is_written_by_the_running_session_and_replayed(wit
     assert committed[0]["gains"]["kp"] == pytest.approx(approved["gains_after"]["kp"], rel=1e-6)
     assert not list((folder / "orders").glob("*.json"))
     assert len(list((folder / "orders" / "taken").glob("*.json"))) == 1
-    assert main(["replay", str(folder)]) == 0
-    assert "identical" in capsys.readouterr().out
+    assert "identical" in printed("replay", folder)
 
 
 @pytest.mark.slow
-def test_the_rollback_is_taken_and_replayed(with_person: Any, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_rollback_is_taken_and_replayed(with_person: Any) -> None:
     folder, person = with_person([("revert", written)], "--mode", "auto")
     assert person.statuses == [0]
     (order,) = bodies(folder, "order")
@@ -113,8 +112,7 @@ def test_the_rollback_is_taken_and_replayed(with_person: Any, capsys: pytest.Cap
     first = bodies(folder, "decision")[0]
     last = bodies(folder, "committed")
     assert any(row["gains"]["kp"] == pytest.approx(first["gains_before"]["kp"]) for row in last[1:])
-    assert main(["replay", str(folder)]) == 0
-    assert "identical" in capsys.readouterr().out
+    assert "identical" in printed("replay", folder)
 
 
 def on_trial(session: LoopSession, sample: LoopSample) -> bool:
@@ -151,26 +149,23 @@ def waits(session: LoopSession, sample: LoopSample) -> bool:
 
 
 @pytest.mark.slow
-def test_a_change_that_was_tried_waits_for_a_person(with_person: Any, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_change_that_was_tried_waits_for_a_person(with_person: Any) -> None:
     folder, person = with_person([("accept", waits)], "--mode", "trial")
     assert person.statuses == [0]
     (order,) = bodies(folder, "order")
     assert (order["accepted"], order["due"], order["proposal"]) == (True, True, None)
     assert bodies(folder, "judged")[0]["trial"] == TrialPhase.WAITING
-    assert main(["approve", str(folder), order["digest"][:9]]) == 1
-    assert "approved before" in capsys.readouterr().out
+    assert "approved before" in printed("approve", folder, order["digest"][:9], status=1)
     assert main(["replay", str(folder)]) == 0
 
 
 @pytest.mark.slow
 @pytest.mark.uncounted
-def test_an_order_for_an_ended_session_is_taken_by_the_next_one_and_only_once(with_person, tmp_path, capsys):
+def test_an_order_for_an_ended_session_is_taken_by_the_next_one_and_only_once(with_person, tmp_path):
     folder, _ = with_person([])
-    capsys.readouterr()
     listed = answer("approve", folder)["proposals"]
     assert listed
-    assert main(["approve", str(folder), listed[-1]["hash"][:12], *BY]) == 0
-    assert "the next run with --out" in capsys.readouterr().out
+    assert "the next run with --out" in printed("approve", folder, listed[-1]["hash"][:12], *BY)
     with_person([])
     assert (tmp_path / "run-1" / "orders" / "taken").is_dir()
     (order,) = bodies(folder, "order")
@@ -180,8 +175,7 @@ def test_an_order_for_an_ended_session_is_taken_by_the_next_one_and_only_once(wi
     assert decisions[0]["code"] == "approved"
     assert decisions[0]["gains_after"] == listed[-1]["gains_after"]
     assert bodies(folder, "committed")[0]["why"] == "retune"
-    assert main(["replay", str(folder)]) == 0
-    assert "identical" in capsys.readouterr().out
+    assert "identical" in printed("replay", folder)
 
 
 @pytest.fixture(scope="module")

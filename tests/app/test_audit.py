@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from audit_work import dies_or_works
-from command_line import answer, refused
+from command_line import answer, printed, refused
 from plain_recording import read_recording
 
 from retuner.audit.catalogue import Task, catalogue, files_of
@@ -232,7 +232,7 @@ def test_names_cannot_leave_the_page(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "audit.json").read_text(encoding="utf-8"))["rows"][0]["place"] == 1
 
 
-def test_an_audit_goes_on_where_it_was(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_audit_goes_on_where_it_was(tmp_path: Path) -> None:
     folder, out = tmp_path / "plant", tmp_path / "out"
     folder.mkdir()
     table(folder / "A.csv", "t,sp,pv,co", 3)
@@ -243,8 +243,7 @@ def test_an_audit_goes_on_where_it_was(tmp_path: Path, capsys: pytest.CaptureFix
     with ResultStore(out) as store:
         before = store.done()
     table(folder / "A.csv", "t,sp,pv,co", 3, rows=310)
-    assert main([*arguments, "--since", str(out)]) == 0
-    assert "deserve a visit" in capsys.readouterr().out
+    assert "deserve a visit" in printed(*arguments, "--since", out)
     with ResultStore(out) as store:
         after = store.done()
     assert after["B"] == before["B"]
@@ -327,13 +326,12 @@ def test_a_cluster_does_the_same_work() -> None:
 
 
 @pytest.mark.slow
-def test_a_share_of_the_loops_is_diagnosed_those_that_the_screening_shows_worst(plant, tmp_path, capsys):
+def test_a_share_of_the_loops_is_diagnosed_those_that_the_screening_shows_worst(plant, tmp_path):
     shutil.copy(VALVE, plant / "valve.csv")
     arguments = ["audit", str(plant), "--out", str(tmp_path / "out"), "--jobs", "1", "--stretches", "1", "--json"]
 
     def diagnosed(*more: str) -> set[str]:
-        assert main([*arguments, *more]) == 0
-        rows = json.loads(capsys.readouterr().out)["rows"]
+        rows = json.loads(printed(*arguments, *more))["rows"]
         return {row["tag"] for row in rows if row.get("looked_at")}
 
     assert diagnosed("--diagnose", "0") == set()

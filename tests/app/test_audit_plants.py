@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import printed
 
 from retuner.audit.catalogue import Catalogue, catalogue, files_of
 from retuner.audit.loop_row import AuditSettings, Row, audit_task
@@ -128,8 +129,7 @@ def test_a_plants_own_names_are_mended_in_a_file(tmp_path: Path, capsys: pytest.
     assert form_from_toml(tmp_path / "names.toml").called("FIC7_SPX") == "FIC7.SP"
     found = catalogue(files_of([tmp_path / "plant"]), form_from_toml(tmp_path / "names.toml"))
     assert sorted(found.tags) == ["B", "FIC7"]
-    assert main([*arguments, "--record", str(tmp_path / "names.toml")]) == 0
-    assert "of 2 loops" in capsys.readouterr().out
+    assert "of 2 loops" in printed(*arguments, "--record", tmp_path / "names.toml")
 
 
 def test_broken_files_cost_what_is_in_them(tmp_path: Path) -> None:

@@ -4,11 +4,13 @@ import json
 import re
 import runpy
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
+import command_line
 import numpy as np
 import pytest
-from command_line import answer, refused
+from command_line import printed, refused
 
 from retuner import diagnosing
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
@@ -26,6 +28,8 @@ from retuner.commands.recorded.recorded_loop import controller, read_loop
 from retuner.decision_page.evidence_words import GROUPS, WORDS, evidence_lines, value_text
 from retuner.errors import UserError
 from retuner.tuning import tune
+
+answer = partial(command_line.answer, silent=True)
 
 SERVO = Path(__file__).parents[1] / "data" / "servo" / "pid_step.csv"
 PLANT = Path(__file__).parents[1] / "data" / "plant"
@@ -158,10 +162,9 @@ def test_open_loop_records_have_no_controller(asked):
 
 
 @pytest.mark.usefixtures("asked")
-def test_it_reads_well_in_eight_lines(tmp_path, capsys):
+def test_it_reads_well_in_eight_lines(tmp_path):
     path, picture = str(loop(tmp_path / "a.csv")), tmp_path / "a.png"
-    assert main(["diagnose", path, "--kc", "2", "--tau-i", "20", "--plot", str(picture)]) == 0
-    shown = capsys.readouterr().out.splitlines()
+    shown = printed("diagnose", path, "--kc", "2", "--tau-i", "20", "--plot", picture).splitlines()
     assert len(shown) <= 8
     assert shown[0] == "AGGRESSIVE (97 %): Ms 3.10 is over 1.8"
     assert shown[1] == "  active       Kc 2 tau_I 20 s"
@@ -169,16 +172,20 @@ def test_it_reads_well_in_eight_lines(tmp_path, capsys):
     assert any(line.startswith("  the loop     mean error ") and "Harris index" in line for line in shown)
     assert not any("overshoot of setpoint responses" in line for line in shown)
     assert picture.read_bytes().startswith(PNG)
-    assert main(["diagnose", path, "--kc", "2", "--tau-i", "20", "--evidence"]) == 0
-    more = capsys.readouterr().out
+    more = printed("diagnose", path, "--kc", "2", "--tau-i", "20", "--evidence")
     assert more.splitlines()[: len(shown)] == shown
     assert "overshoot of setpoint responses" in more
     assert "parallel  kp" in more
 
 
-def test_a_change_is_told_by_what_it_does(tmp_path, capsys):
-    assert main(["diagnose", str(loop(tmp_path / "a.csv", kc=7.0)), "--co-min", "-50", "--co-max", "100"]) == 0
-    line = next(one for one in capsys.readouterr().out.splitlines() if one.startswith("  with these"))
+def test_a_change_is_told_by_what_it_does(tmp_path):
+    line = next(
+        one
+        for one in printed(
+            "diagnose", str(loop(tmp_path / "a.csv", kc=7.0)), "--co-min", "-50", "--co-max", "100"
+        ).splitlines()
+        if one.startswith("  with these")
+    )
     found = re.search(r"mean error (\d+) % .*overshoot (\d+) % -> (\d+) %, settles in .* Ms (\S+) -> (\S+)$", line)
     assert found
     error, before, after = (int(found[i]) for i in (1, 2, 3))

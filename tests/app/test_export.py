@@ -12,7 +12,7 @@ from typing import Any
 
 import cantools
 import pytest
-from command_line import refused
+from command_line import printed, refused
 
 from retuner.adaptive.guard import change_factor
 from retuner.cli import main
@@ -215,14 +215,12 @@ def test_the_csv_has_a_line_a_region_that_reads_back() -> None:
         assert tuple(map(float, line.split(",")[4:7])) == (gains.kp, gains.ki, gains.kd)
 
 
-def test_gains_are_shown_as_a_controller_has_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_gains_are_shown_as_a_controller_has_them(tmp_path: Path) -> None:
     gains = tmp_path / "gains.toml"
     gains.write_text(to_toml(GainTable("x", Regions.along(("all",), ONE), (PidGains(2.0, 0.1, 12.0),))))
     named = ["--controller", "rockwell-pide", "--pv-span", "200"]
-    assert main(["export", str(gains), *named]) == 0
-    assert capsys.readouterr().out == "all: PGain 4 IGain 12/min DGain 0.4 min\n"
-    assert main(["export", str(gains), "--format", "csv", "--out", "-", *named]) == 0
-    head, line = capsys.readouterr().out.splitlines()
+    assert printed("export", gains, *named) == "all: PGain 4 IGain 12/min DGain 0.4 min\n"
+    head, line = printed("export", gains, "--format", "csv", "--out", "-", *named).splitlines()
     assert head.endswith("kp,ki,kd,PGain,IGain [/min],DGain [min]")
     assert [float(cell) for cell in line.split(",")[-3:]] == pytest.approx([4.0, 12.0, 0.4])
     assert "no series form, which the controller needs" in refused(
@@ -252,15 +250,16 @@ tau_i_s = "none" # a P controller
 """
 
 
-def test_tuned_gains_go_back_and_every_comment_stays(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_tuned_gains_go_back_and_every_comment_stays(tmp_path: Path) -> None:
     path = tmp_path / "loop.toml"
     path.write_text(CONFIG)
     before = load_config(path).gain_table()
     tuned = before.with_gains("low", PidGains(1.5, 0.01)).with_gains("high", PidGains(2.0, 0.04, 10.0))
     gains = tmp_path / "gains.toml"
     gains.write_text(to_toml(tuned))
-    assert main(["export", str(gains), "--into", str(path)]) == 0
-    assert "low: kc 0.22 tau_i_s 260 tau_d_s 0 -> kc 1.5 tau_i_s 150 tau_d_s 0 (series)" in capsys.readouterr().out
+    assert "low: kc 0.22 tau_i_s 260 tau_d_s 0 -> kc 1.5 tau_i_s 150 tau_d_s 0 (series)" in printed(
+        "export", gains, "--into", path
+    )
     text = path.read_text()
     assert re.findall("#.*", text) == re.findall("#.*", CONFIG)
     for gains_now, wanted in zip(load_config(path).gains(), tuned.gains, strict=True):

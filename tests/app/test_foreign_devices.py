@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from command_line import answer, refused
+from command_line import answer, printed, refused
 
 from retuner.adaptive.trial.phase import TrialEvent, TrialPhase, after
 from retuner.cli import main
@@ -60,14 +60,13 @@ def test_a_set_of_three_messages_is_written_in_an_order_that_was_proved(tmp_path
     assert (again["identical"], again["samples"]) == (True, rows(tmp_path / "run", "end")[0]["samples"])
 
 
-def test_a_log_without_notes_of_samples_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_log_without_notes_of_samples_says_so(tmp_path: Path) -> None:
     text = (EXAMPLES / "odrive.toml").read_text().replace("duration_s = 120.0", "duration_s = 4.0")
     (tmp_path / "loop.toml").write_text(text[: text.index("steps = [")] + "steps = [{ at_s = 0.0, sp = 0.0 }]\n")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(CanLink, "note", lambda *_: None)  # as releases before did
         run(tmp_path / "loop.toml", tmp_path / "run")
-    assert main(["replay", str(tmp_path / "run")]) == 1
-    assert "no sample is noted in it" in capsys.readouterr().out
+    assert "no sample is noted in it" in printed("replay", tmp_path / "run", status=1)
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from command_line import answer, refused
+from command_line import answer, printed, refused
 
 from retuner.cli import main
 from retuner.ledger import LedgerReader
@@ -52,17 +52,15 @@ def test_every_row_is_told(session: Path) -> None:
     assert "numpy" in rows[0]["evidence"]
 
 
-def test_text_names_both_settings_and_the_chain(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["ledger", "show", str(session)]) == 0
-    shown = capsys.readouterr().out
+def test_text_names_both_settings_and_the_chain(session: Path) -> None:
+    shown = printed("ledger", "show", session)
     assert "Kc 5 tau_I 4 s -> Kc" in shown
     assert "the chain holds" in shown
 
 
-def test_a_wide_terminal_gets_a_table(session, capsys, monkeypatch):
+def test_a_wide_terminal_gets_a_table(session, monkeypatch):
     monkeypatch.setenv("COLUMNS", "220")
-    assert main(["ledger", "show", str(session)]) == 0
-    head = capsys.readouterr().out.splitlines()[0]
+    head = printed("ledger", "show", session).splitlines()[0]
     assert head.split()[:5] == ["row", "time", "[s]", "what", "who"]
 
 
@@ -111,20 +109,20 @@ def test_an_export_has_everything(session: Path, tmp_path: Path) -> None:
         assert told in refused("ledger", "export", session, *arguments)
 
 
-def test_a_broken_chain_is_found_and_named_and_what_is_before_it_is_shown(broken, tmp_path, capsys):
-    assert main(["ledger", "verify", str(broken)]) == 1
-    assert "broken: row 4 was changed after it was written; 3 rows before it hold" in capsys.readouterr().out
+def test_a_broken_chain_is_found_and_named_and_what_is_before_it_is_shown(broken, tmp_path):
+    assert "broken: row 4 was changed after it was written; 3 rows before it hold" in printed(
+        "ledger", "verify", broken, status=1
+    )
     found = answer("ledger", "show", broken, status=1)
     assert [row["row"] for row in found["rows"]] == [1, 2, 3]
     assert "row 4 was changed" in found["reason"]
-    assert main(["ledger", "export", str(broken), "--jsonl", str(tmp_path / "x.jsonl")]) == 1
-    assert "broken: row 4" in capsys.readouterr().out
+    assert "broken: row 4" in printed("ledger", "export", broken, "--jsonl", tmp_path / "x.jsonl", status=1)
     assert "row 4 was changed" in refused("approve", broken)
     assert main(["ledger", "revert", str(broken), "--decision", "1"]) == 2
     assert not (broken / "orders").exists()
 
 
-def test_a_session_of_another_kind_is_shown_as_well(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_session_of_another_kind_is_shown_as_well(tmp_path: Path) -> None:
     """Rows that this release does not write are told by what they say."""
     from retuner.ledger import Ledger
 
@@ -132,8 +130,7 @@ def test_a_session_of_another_kind_is_shown_as_well(tmp_path: Path, capsys: pyte
         ledger.append("omen", {"reason": "a raven", "flies": "left"}, 3.0)
         ledger.append("decision", {"number": 1}, 4.0)
         ledger.append("order", {}, 5.0)
-    assert main(["ledger", "show", str(tmp_path)]) == 0
-    shown = capsys.readouterr().out
+    shown = printed("ledger", "show", tmp_path)
     assert "a raven" in shown
     assert "flies left" in shown
 

@@ -5,9 +5,9 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
+from command_line import printed
 
 from retuner.adaptive.trial.persons_edit import lasting_words
-from retuner.cli import main
 from retuner.decision_page.decision_words import one_line, response_text
 from retuner.decision_page.row_values import brief
 from retuner.ledger import Ledger, Row
@@ -181,21 +181,16 @@ def test_what_came_back_where_the_loop_is_not_has_the_gains_of_its_own_region() 
     assert "Kc 2" not in shown
 
 
-def test_what_waits_for_a_person_is_told_at_the_end(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_waits_for_a_person_is_told_at_the_end(tmp_path: Path) -> None:
     with Ledger(tmp_path / "ledger.sqlite") as ledger:
         ledger.append("session", {"config": CONFIG}, 0.0)
         ledger.append("decision", {**decision(1, "advise"), "loop": "tank"}, 5.0)
-    assert main(["ledger", "show", str(tmp_path)]) == 0
-    shown = capsys.readouterr().out
+    shown = printed("ledger", "show", tmp_path)
     assert "open: all: decision 1 proposes 2, 20 -> 1, 10; retuner approve " in shown
     (tmp_path / "config.toml").write_text(WATCHED)
-    assert main(["ledger", "show", str(tmp_path)]) == 0
-    assert "its description has no gains, so nothing is written" in (shown := capsys.readouterr().out)
+    assert "its description has no gains, so nothing is written" in (shown := printed("ledger", "show", tmp_path))
     assert "retuner approve" not in shown
-    assert main(["approve", str(tmp_path)]) == 0
-    digest, _, told_of = capsys.readouterr().out.partition(" ")
+    digest, _, told_of = printed("approve", tmp_path).partition(" ")
     assert "its description has no gains" in told_of
-    assert main(["approve", str(tmp_path), digest]) == 1
-    assert "is not approved: its description has no gains" in capsys.readouterr().out
-    assert main(["ledger", "show", str(tmp_path), "--kind", "decision"]) == 0
-    assert "open:" not in capsys.readouterr().out
+    assert "is not approved: its description has no gains" in printed("approve", tmp_path, digest, status=1)
+    assert "open:" not in printed("ledger", "show", tmp_path, "--kind", "decision")

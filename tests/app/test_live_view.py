@@ -10,6 +10,7 @@ from typing import cast
 
 import numpy as np
 import pytest
+from command_line import printed
 from rich.cells import cell_len
 from rich.console import Console
 
@@ -17,7 +18,6 @@ from retuner.adaptive.signals.recogniser import RecogniserPhase, begin
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
 from retuner.adaptive.trial.phase import TrialPhase
-from retuner.cli import main
 from retuner.config.loading import load_config, load_session
 from retuner.drivers.device import RunningSet
 from retuner.ledger import Ledger, LedgerReader
@@ -170,7 +170,7 @@ def test_a_word_that_is_too_long_stays_whole() -> None:
     assert folded("give /a/very/long/path/to/something/that/nobody/breaks now", 20)[1].startswith("/a/very")
 
 
-def test_at_the_end_a_proposal_is_named_with_the_command_that_approves_it(tmp_path, capsys):
+def test_at_the_end_a_proposal_is_named_with_the_command_that_approves_it(tmp_path):
     with Ledger(tmp_path / "ledger.sqlite") as ledger:
         made = decision()
         ledger.append("decision", {**made.to_dict(), "samples": 1}, 1830.0)
@@ -191,8 +191,7 @@ def test_at_the_end_a_proposal_is_named_with_the_command_that_approves_it(tmp_pa
             "'dryer",
             "2'",
         ]
-    assert main(["run", "--help"]) == 0
-    assert "--verbose" in capsys.readouterr().out
+    assert "--verbose" in printed("run", "--help")
 
 
 def test_what_needs_a_person_is_said() -> None:

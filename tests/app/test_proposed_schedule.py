@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from command_line import refused
+from command_line import printed, refused
 
 from retuner.adaptive.region_model import proposed_borders
 from retuner.adaptive.region_model.proposed_borders import Refinement
@@ -72,28 +72,26 @@ def test_it_is_a_row_before_the_end_and_files_beside_the_report(session: Path) -
     assert (line.who, line.verdict) == ("retuner", "proposed")
 
 
-def test_the_ledger_ends_with_the_command_that_takes_it_up(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["ledger", "show", str(session)]) == 0
-    assert "open: to take up the schedule that the records ask for; retuner approve" in capsys.readouterr().out
+def test_the_ledger_ends_with_the_command_that_takes_it_up(session: Path) -> None:
+    assert "open: to take up the schedule that the records ask for; retuner approve" in printed(
+        "ledger", "show", session
+    )
 
 
 @pytest.mark.slow
-def test_a_replay_asks_again(session, monkeypatch, capsys):
+def test_a_replay_asks_again(session, monkeypatch):
     asking_for(monkeypatch, proposal())
-    assert main(["replay", str(session)]) == 0
-    assert "identical" in capsys.readouterr().out
+    assert "identical" in printed("replay", session)
     asking_for(monkeypatch, proposal(OTHER.with_gains(1, PidGains(3.2, 0.8))))
-    assert main(["replay", str(session)]) == 1
-    assert "different" in capsys.readouterr().out
+    assert "different" in printed("replay", session, status=1)
     asking_for(monkeypatch, None)
     assert main(["replay", str(session)]) == 1
 
 
-def test_a_person_takes_it_up_and_the_next_run_says_so(session, tmp_path, capsys):
+def test_a_person_takes_it_up_and_the_next_run_says_so(session, tmp_path):
     digest, config = digest_of(OTHER)[:8], tmp_path / "short.toml"
     shutil.copy(session.parent / "short.toml", config)
-    assert main(["approve", str(session)]) == 0
-    assert digest in capsys.readouterr().out
+    assert digest in printed("approve", session)
     assert "--into" in refused("approve", session, digest)
     before = config.read_text()
     assert main(["approve", str(session), digest, "--into", str(config), "--by", "Ada", "--note", "so be\nit"]) == 0

@@ -1,7 +1,7 @@
 """retuner reduce: what it prints, and what it refuses in one line."""
 
 import pytest
-from command_line import answer, refused, told
+from command_line import answer, printed, refused
 
 E2 = ["--num-t", "-0.3,0.08", "--den-t", "2,1,0.4,0.2,0.05,0.05,0.05"]
 
@@ -20,13 +20,13 @@ def test_options_may_be_repeated_or_listed() -> None:
 
 
 def test_text_shows_every_step() -> None:
-    out = told("reduce", "--num-t", "15", "--den-t", "20,1,.1,.1", "--k", "2")
+    out = printed("reduce", "--num-t", "15", "--den-t", "20,1,.1,.1", "--k", "2")
     assert "T2: lead 15 s against lag 20 s" in out
     assert "0.15 s" in out
 
 
 def test_integrating_type_names_the_unit_of_its_gain() -> None:
-    out = told("reduce", "--den-t", "1,1", "--integrators", "1")
+    out = printed("reduce", "--den-t", "1,1", "--integrators", "1")
     assert "integrating" in out
     assert "1 /s" in out
     assert "tau1" not in out

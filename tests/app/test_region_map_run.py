@@ -10,7 +10,7 @@ from typing import Any
 import can
 import numpy as np
 import pytest
-from command_line import answer
+from command_line import answer, printed, refused
 from once import once
 
 from retuner.adaptive.signals.sample import LoopSample
@@ -258,12 +258,11 @@ def test_each_loop_has_its_mode_its_folder_and_its_rows(session: Path) -> None:
 
 
 @pytest.mark.slow
-def test_every_loop_is_replayed_byte_for_byte(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_loop_is_replayed_byte_for_byte(session: Path) -> None:
     loops = answer("replay", session)["loops"]
     assert [(one["loop"], one["identical"], one["compared"]) for one in loops] == [(SLOW, True, 2), (FAST, True, 1)]
     assert [one["samples"] for one in loops] == [body["samples"] for body in (over(session, SLOW), over(session, FAST))]
-    assert main(["replay", str(session), "--loop", FAST]) == 0
-    assert capsys.readouterr().out.count("identical") == 1
+    assert printed("replay", session, "--loop", FAST).count("identical") == 1
 
 
 def over(session: Path, loop: str) -> dict[str, Any]:
@@ -275,8 +274,9 @@ def test_a_question_about_one_of_several_loops_names_it(session: Path, capsys: p
     capsys.readouterr()
     assert main(["report", str(session), "--decision", "1"]) == 2
     assert capsys.readouterr().err == "--loop: there are 2 loops, name one of slow one, fast\n"
-    assert main(["report", str(session), "--decision", "1", "--loop", "fats"]) == 2
-    assert "there is no such loop; there are slow one, fast" in capsys.readouterr().err
+    assert "there is no such loop; there are slow one, fast" in refused(
+        "report", session, "--decision", "1", "--loop", "fats"
+    )
     assert main(["report", str(session), "--decision", "1", "--loop", FAST]) == 0
     assert (loop_folder(session, FAST) / "decision-1.html").is_file()
     assert main(["ledger", "revert", str(session), "--decision", "1"]) == 2

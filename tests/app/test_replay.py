@@ -13,7 +13,7 @@ from typing import Any
 import can
 import numpy as np
 import pytest
-from command_line import refused
+from command_line import printed, refused
 from effort import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -112,7 +112,7 @@ def test_an_event_that_was_taken_away_shows(session: Path, tmp_path: Path, capsy
     assert found["first_difference"]["decision"] == 2
 
 
-def test_other_versions_are_named_where_the_decisions_differ(session, tmp_path, capsys):
+def test_other_versions_are_named_where_the_decisions_differ(session, tmp_path):
     def older(row: Row) -> dict[str, Any]:
         body = row.body
         if row.kind == "session":
@@ -121,8 +121,7 @@ def test_other_versions_are_named_where_the_decisions_differ(session, tmp_path, 
             body["records"] = 77
         return body
 
-    assert main(["replay", str(rewritten(session, tmp_path / "older", older))]) == 1
-    told = capsys.readouterr().out.splitlines()
+    told = printed("replay", str(rewritten(session, tmp_path / "older", older)), status=1).splitlines()
     assert "records: recorded 77" in told[0]
     assert told[1].startswith("byte identity is claimed for equal versions only")
     assert "numpy 0.1 then" in told[1]
@@ -193,11 +192,9 @@ def test_missing_frames_are_found_where_they_are_missing(session, tmp_path, caps
         assert found["identical"] is False
 
 
-def test_a_killed_session_is_replayed_as_far_as_it_went(session, tmp_path, capsys):
+def test_a_killed_session_is_replayed_as_far_as_it_went(session, tmp_path):
     killed = rewritten(session, tmp_path / "killed", without_end)
-    capsys.readouterr()
-    assert main(["replay", str(killed)]) == 0
-    shown = capsys.readouterr().out
+    shown = printed("replay", killed)
     assert "identical" in shown
     assert "killed, or goes on" in shown
     assert shown.count("\n") == 1
@@ -301,8 +298,7 @@ def test_another_engine_is_asked_for_the_same_verdicts_and_not_for_the_same_byte
     status, found = replayed(copy, capsys)
     assert (status, found["identical"], found["same_verdicts"]) == (0, False, True)
     assert found["engines"] == {"then": "abacus 1", "here": engine_name()}
-    assert main(["replay", str(copy)]) == 0
-    said = capsys.readouterr().out
+    said = printed("replay", copy)
     assert "the same verdicts" in said
     assert f"by engine {engine_name()} instead of abacus 1" in said
 

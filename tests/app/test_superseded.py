@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from command_line import answer
+from command_line import answer, printed
 
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.cli import main
@@ -44,26 +44,23 @@ def listed(session: Path, *more: str) -> dict[str, Any]:
     return found
 
 
-def test_the_list_shows_the_newest_and_on_request_all(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_list_shows_the_newest_and_on_request_all(copy: Path) -> None:
     (newest,) = (told := listed(copy))["proposals"]
     assert (newest["decision"], newest["superseded_by"], told["superseded"]) == (2, None, 1)
     older, again = listed(copy, "--all")["proposals"]
     assert again == newest
     assert older["superseded_by"] == newest["hash"]
-    assert main(["approve", str(copy)]) == 0
-    text = capsys.readouterr().out
+    text = printed("approve", copy)
     assert "supersedes 1 older" in text
     assert "1 open proposal at" in text
     assert "(and 1 superseded; --all lists them)" in text
-    assert main(["approve", str(copy), "--all"]) == 0
-    assert f"superseded by {newest['hash'][:8]}" in capsys.readouterr().out
+    assert f"superseded by {newest['hash'][:8]}" in printed("approve", copy, "--all")
     assert main(["approve", str(copy), newest["hash"], "--all"]) == 2
 
 
-def test_a_superseded_proposal_is_refused_with_its_successor(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_superseded_proposal_is_refused_with_its_successor(copy: Path) -> None:
     older, newest = listed(copy, "--all")["proposals"]
-    assert main(["approve", str(copy), older["hash"][:8]]) == 1
-    text = capsys.readouterr().out
+    text = printed("approve", copy, older["hash"][:8], status=1)
     assert text == f"{older['hash'][:8]} is not approved: {REFUSED}{newest['hash'][:8]}\n"
     assert not (copy / "orders").exists()
     assert main(["approve", str(copy), newest["hash"][:8], "--by", "Ada"]) == 0
@@ -82,7 +79,7 @@ def test_the_next_session_refuses_it_as_well(copy: Path, tmp_path: Path) -> None
 
 @pytest.mark.slow
 @pytest.mark.uncounted
-def test_the_running_session_refuses_it_as_well(tmp_path, monkeypatch, capsys):
+def test_the_running_session_refuses_it_as_well(tmp_path, monkeypatch):
     class Late(Run):
         """Somebody had looked before the second proposal, and orders after it."""
 
@@ -96,5 +93,4 @@ def test_the_running_session_refuses_it_as_well(tmp_path, monkeypatch, capsys):
     (order,) = bodies(folder, "order")
     assert order["accepted"] is False
     assert order["reason"] == REFUSED + list(only_place(folder, None).shown.proposals)[1][:8]
-    assert main(["replay", str(folder)]) == 0
-    assert "identical" in capsys.readouterr().out
+    assert "identical" in printed("replay", folder)

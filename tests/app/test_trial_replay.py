@@ -5,6 +5,7 @@ from pathlib import Path
 
 import can
 import pytest
+from command_line import printed
 from two_regions import two_regions
 
 from retuner.cli import main
@@ -20,12 +21,11 @@ SHORT = two_regions("auto", 50.0, "at_s = 0.0, sp = 2.0", "at_s = 20.0, sp = 3.0
 @pytest.mark.slow
 @pytest.mark.uncounted
 def test_an_undecided_change_that_is_robust_stays_at_the_end_and_is_decided_again_by_a_replay(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "short.toml").write_text(SHORT, encoding="utf-8")
-    assert main(["run", "short.toml", "--no-compare"]) == 0
-    assert "Session ended during the trial; trial gains kept" in capsys.readouterr().out
+    assert "Session ended during the trial; trial gains kept" in printed("run", "short.toml", "--no-compare")
     with LedgerReader(tmp_path / "out" / "ledger.sqlite") as reader:
         rows = [(row.kind, json.loads(row.text)) for row in reader.rows()]
         assert reader.verify().ok
@@ -37,8 +37,7 @@ def test_an_undecided_change_that_is_robust_stays_at_the_end_and_is_decided_agai
     assert bodies["decision"]["gains_after"] == bodies["trial"]["gains"]
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["scores"][0]["after"] != summary["scores"][0]["before"]
-    assert main(["replay", "out"]) == 0
-    assert "identical" in capsys.readouterr().out
+    assert "identical" in printed("replay", "out")
 
 
 @pytest.mark.parametrize("back", [pytest.param(False, marks=[pytest.mark.slow, pytest.mark.uncounted]), True])
@@ -66,5 +65,4 @@ def test_a_turned_action_is_an_alarm_in_the_run_and_is_decided_again_by_a_replay
     assert turned == ([True, False] if back else [True])
     after = [kind for kind, _ in rows[[kind for kind, _ in rows].index("action") :]]
     assert back or "intent" not in after
-    assert main(["replay", "out"]) == 0
-    assert "identical" in capsys.readouterr().out
+    assert "identical" in printed("replay", "out")

@@ -2,16 +2,20 @@
 
 import json
 import math
+from functools import partial
 from pathlib import Path
 
+import command_line
 import pytest
-from command_line import answer, refused, told
+from command_line import printed, refused
 
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.registry import RULES
 from retuner.cli import main
 from retuner.report.rule_comparison import compare_rules
 from retuner.tuning import tune
+
+answer = partial(command_line.answer, silent=True)
 
 Capture = pytest.CaptureFixture[str]
 FOPDT = ["--type", "fopdt", "--k", "2", "--tau1", "10", "--theta", "2"]
@@ -59,7 +63,7 @@ def test_an_unstable_result_is_said_and_is_status_1() -> None:
     found = answer("tune", *unstable, status=1)
     assert found["margins"]["stable"] is False
     assert {value for name, value in found["margins"].items() if name != "stable"} == {None}
-    shown = told("tune", *unstable, status=1)
+    shown = printed("tune", *unstable, status=1)
     assert "UNSTABLE" in shown
     assert "Ms" not in shown
 
@@ -69,7 +73,7 @@ def test_explain() -> None:
     assert why["numbers"] == pytest.approx({"tau1": 10, "k": 2, "tau_c": 2, "theta": 2, "k'": 0.2, "c": 4})
     assert "Kc = 10/(2 (2 + 2))" in why["with_numbers"][0].replace(" * ", " ")
     assert "Skogestad 2003" in why["source"]
-    shown = told("tune", *FOPDT, "--rule", "cohen-coon", "--kind", "pid", "--explain")
+    shown = printed("tune", *FOPDT, "--rule", "cohen-coon", "--kind", "pid", "--explain")
     for text in ("Ti = L (32 + 6 L/tau)/(13 + 8 L/tau)", "L = 2", "tau = 10", "Cohen & Coon 1953", "range"):
         assert text in shown
     assert answer("tune", "--rule", "zn-ultimate", "--ku", "3", "--pu", "7", "--explain")["explanation"]["numbers"] == {
@@ -124,7 +128,9 @@ def test_all_rules_side_by_side(tmp_path: Path) -> None:
 
 
 def test_the_table_of_all_rules() -> None:
-    lines = told("tune", "--type", "integrating", "--k", "-0.1", "--theta", "2", "--all", "--kind", "pi").splitlines()
+    lines = printed(
+        "tune", "--type", "integrating", "--k", "-0.1", "--theta", "2", "--all", "--kind", "pi"
+    ).splitlines()
     assert lines[0].split() == [
         "rule",
         "kind",

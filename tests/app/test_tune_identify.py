@@ -2,15 +2,19 @@
 
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
+import command_line
 import numpy as np
 import pytest
-from command_line import answer, refused, told
+from command_line import printed, refused
 
 import retuner
 from retuner import PidController, PidGains, ProcessModel, ProcessType, identify, tune
 from retuner.cli import main
+
+answer = partial(command_line.answer, silent=True)
 
 HEATER = Path(__file__).parents[1] / "data" / "heater" / "open_loop_step.csv"
 Capture = pytest.CaptureFixture[str]
@@ -82,7 +86,7 @@ def test_identify_in_closed_loop_with_renamed_columns_and_gains_in_force(tmp_pat
     assert found["model"]["k"] == pytest.approx(1.0, rel=0.05)
     assert found["model"]["theta"] == pytest.approx(3.0, rel=0.1)
     assert found["margins_in_force"]["stable"] is True
-    assert "recommended settings" in told("identify", path, "--columns", "t=time,sp=target,pv=level,co=valve")
+    assert "recommended settings" in printed("identify", path, "--columns", "t=time,sp=target,pv=level,co=valve")
 
 
 def test_identify_says_no_with_status_1(tmp_path: Path) -> None:
@@ -184,11 +188,11 @@ def test_gains_are_given_and_shown_in_the_controllers_units(tmp_path: Path) -> N
     trade = ["--controller", "pb-rpm", "--pv-span", "10"]
     same = answer("identify", path, "--kc", "500", "--tau-i", "3", *trade)  # 100 / 500 % of 10 is 2 %/unit
     assert same["margins_in_force"]["ms"] == pytest.approx(plain["margins_in_force"]["ms"])
-    assert "active       PB 500 % reset 3 repeats/min" in told(
+    assert "active       PB 500 % reset 3 repeats/min" in printed(
         "diagnose", path, "--kc", "500", "--tau-i", "3", *trade, "--action", "reverse"
     )
-    assert "  dialled   PB " in told("identify", path, *trade)
-    assert "dialled" not in told("identify", path)
+    assert "  dialled   PB " in printed("identify", path, *trade)
+    assert "dialled" not in printed("identify", path)
     tuned = answer(*TUNE, "--controller", "gain-min", "--pv-span", "200")
     dialled, gains = tuned["dialled"], tuned["gains"]
     assert dialled["gain"] == pytest.approx(2 * gains["kc"])

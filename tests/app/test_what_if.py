@@ -11,7 +11,7 @@ from typing import Any
 
 import can
 import pytest
-from command_line import answer, refused
+from command_line import answer, printed, refused
 
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.retuner import Retuner
@@ -89,23 +89,20 @@ def test_the_library_of_mf4_waits_until_one_is_read(tmp_path: Path) -> None:
     assert "RecordingError" in done.stderr.splitlines()[-1]
 
 
-def test_text_says_that_nothing_was_written(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    capsys.readouterr()
-    assert main(["replay", str(recorded / "run" / "trend.csv"), "--config", str(recorded / "short.toml")]) == 0
-    shown = capsys.readouterr().out.splitlines()
+def test_text_says_that_nothing_was_written(recorded: Path) -> None:
+    shown = printed("replay", recorded / "run" / "trend.csv", "--config", recorded / "short.toml").splitlines()
     assert "proposed: Kc 5 tau_I 4 s -> Kc" in shown[0]
     assert shown[-1].endswith("nothing was written")
 
 
 @pytest.mark.slow
-def test_one_change_of_the_records_gains_is_told_as_once(recorded, tmp_path, capsys):
+def test_one_change_of_the_records_gains_is_told_as_once(recorded, tmp_path):
     trend, config = recorded / "run" / "trend.csv", recorded / "short.toml"
     until_s = asked(trend, config)["gains_changed_s"][0] + 0.5
     head, *lines = trend.read_text().splitlines()
     log = tmp_path / "trend.csv"
     log.write_text("\n".join([head, *(line for line in lines if float(line.split(",")[0]) < until_s)]) + "\n")
-    assert main(["replay", str(log), "--config", str(config)]) == 0
-    assert "the record's gains changed once; nothing was written" in capsys.readouterr().out
+    assert "the record's gains changed once; nothing was written" in printed("replay", log, "--config", config)
 
 
 def test_a_bare_table_with_other_names_is_enough(recorded, tmp_path):

@@ -6,7 +6,7 @@ import can
 import cantools
 import numpy as np
 import pytest
-from command_line import told
+from command_line import printed
 from plain_recording import read_recording
 
 from retuner.cli import main
@@ -127,6 +127,6 @@ def test_an_audit_takes_logs_and_tables_of_one_folder(tmp_path, form, capsys):
     (tmp_path / "record.toml").write_text(f'[record]\ndbc = ["{form.dbc[0]}"]\n', encoding="utf-8")
     assert form_from_toml(tmp_path / "record.toml").dbc == form.dbc
     arguments = ["audit", str(folder), "--out", str(out), "--jobs", "1", "--stretches", "1"]
-    assert "FIC101: repair the valve" in told(*arguments, "--dbc", form.dbc[0])
+    assert "FIC101: repair the valve" in printed(*arguments, "--dbc", form.dbc[0])
     assert main([*arguments]) == 0
     assert "give the file with --dbc" in capsys.readouterr().err

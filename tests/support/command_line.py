@@ -30,18 +30,17 @@ def run(*arguments: str | Path) -> Done:
     return Done(status, out.getvalue(), err.getvalue())
 
 
-def answer(*arguments: str | Path, status: int = 0) -> Any:
-    """What a command answers with --json; it has nothing else to say."""
-    done = run(*arguments, "--json")
-    assert (done.returncode, done.stderr) == (status, "")
-    return json.loads(done.stdout)
-
-
-def told(*arguments: str | Path, status: int = 0) -> str:
-    """What a command tells a person."""
+def printed(*arguments: str | Path, status: int = 0, silent: bool = False) -> str:
+    """What a command prints. silent : and nothing on stderr; what takes long tells its progress there."""
     done = run(*arguments)
     assert done.returncode == status, done.stderr
+    assert not (silent and done.stderr), done.stderr
     return done.stdout
+
+
+def answer(*arguments: str | Path, status: int = 0, silent: bool = False) -> Any:
+    """What a command answers with --json; silent as above."""
+    return json.loads(printed(*arguments, "--json", status=status, silent=silent))
 
 
 def refused(*arguments: str | Path) -> str:

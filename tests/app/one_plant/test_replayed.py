@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from command_line import told
+from command_line import printed
 
 from retuner.adaptive.guard.step_size import change_factor
 from retuner.cli import main
@@ -64,4 +64,4 @@ def test_a_session_with_a_refused_change_is_decided_again_byte_for_byte(tmp_path
     made = next(body for kind, body in rows if kind == "decision")
     assert made["code"] == code
     assert REFUSED in made["reason"]
-    assert "identical" in told("replay", "out")
+    assert "identical" in printed("replay", "out")
