@@ -111,8 +111,12 @@ def _drawn(odds: TuningOdds) -> tuple[list[_Process], FloatArray, FloatArray]:
 
 
 def _hold(odds: TuningOdds, drawn: Sequence[_Process], weight: FloatArray) -> int:
-    """Samples in which most of these loops settle."""
-    return round(quantile(np.array([float(_settling(odds, one)) for one in drawn]), weight, LONG_ENOUGH))
+    """Samples in which most of these loops stay within SETTLED of a step, in the bounds of a hold."""
+    settled = []
+    for process in drawn:
+        away = np.flatnonzero(np.abs(_closed_loop(odds, process, np.ones(LONGEST))[0] - 1.0) > SETTLED)
+        settled.append(float(min(max(int(away[-1]) + 1 if len(away) else SHORTEST, SHORTEST), LONGEST)))
+    return round(quantile(np.array(settled), weight, LONG_ENOUGH))
 
 
 def _load(odds: TuningOdds, record: Prepared) -> tuple[LoadModel, float]:
@@ -152,13 +156,6 @@ def _closed_loop(odds: TuningOdds, process: _Process, setpoint: FloatArray) -> t
         first = pole * first + rate * moved
         last = other * last + (1.0 - other) * first
     return pv, co
-
-
-def _settling(odds: TuningOdds, process: _Process) -> int:
-    """Samples until the loop stays within SETTLED of a step, in the bounds of a hold."""
-    pv, _ = _closed_loop(odds, process, np.ones(LONGEST))
-    away = np.flatnonzero(np.abs(pv - 1.0) > SETTLED)
-    return min(max(int(away[-1]) + 1 if len(away) else SHORTEST, SHORTEST), LONGEST)
 
 
 def _energies(odds: TuningOdds, drawn: Sequence[_Process], hold: int, load: LoadModel) -> FloatArray:

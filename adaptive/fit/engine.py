@@ -55,18 +55,11 @@ def _chosen(name: str) -> ModuleType | None:
         raise ValueError(f"{VARIABLE} = {name!r}: give one of {', '.join(CHOICES)}")
     if name == "numpy":
         return None
-    found, reason = _built()
-    if found is None and name == "c":
-        raise ValueError(f"{VARIABLE} = c: {reason}")
-    return found
-
-
-def _built() -> tuple[ModuleType | None, str]:
-    """The compiled engine, or why there is none."""
     try:
-        extension = import_module("retuner.adaptive.fit._engine")
+        version = import_module("retuner.adaptive.fit._engine").version
+        reason = f"has version {version}; version {COMPILED_VERSION} is needed" if version != COMPILED_VERSION else ""
     except ImportError as error:
-        return None, f"the compiled engine cannot be loaded ({error})"
-    if extension.version != COMPILED_VERSION:
-        return None, f"the compiled engine has version {extension.version}; version {COMPILED_VERSION} is needed"
-    return import_module("retuner.adaptive.fit.compiled"), ""
+        reason = f"cannot be loaded ({error})"
+    if reason and name == "c":
+        raise ValueError(f"{VARIABLE} = c: the compiled engine {reason}")
+    return None if reason else import_module("retuner.adaptive.fit.compiled")

@@ -58,7 +58,9 @@ def plausible(found: list[Candidate], covariance: FloatArray, priors: Priors) ->
     # the other candidates that came close, each optimum once: a model found from two starts is not twice as likely
     best, kept = found[0], found[:1]
     for c in found[1:]:
-        if not any(c.fit.misfit.type == k.fit.misfit.type and _apart(c, k) < SAME for k in kept):
+        kind = (c.fit.misfit.type, c.fit.misfit.sign)
+        alike = [k.fit.x for k in kept if (k.fit.misfit.type, k.fit.misfit.sign) == kind]
+        if not any(np.max(np.abs(c.fit.x - x)) < SAME for x in alike):
             kept.append(c)
     others = kept[1:]
     n, size = len(best.fit.misfit.record.pv), SIZE[best.fit.misfit.type]
@@ -73,12 +75,6 @@ def plausible(found: list[Candidate], covariance: FloatArray, priors: Priors) ->
         if e < MOST_EXCESS
     ]
     return (*own, *_valley(_opened(fit, priors), priors, at), *rivals)
-
-
-def _apart(one: Candidate, other: Candidate) -> float:
-    """Largest difference of a logarithm; infinite for another sign of the gain."""
-    same = one.fit.misfit.sign == other.fit.misfit.sign
-    return float(np.max(np.abs(one.fit.x - other.fit.x))) if same else math.inf
 
 
 def _axes(fit: Fit, covariance: FloatArray, prior: Prior | None, at: float) -> list[tuple[FloatArray, float]]:

@@ -94,7 +94,12 @@ def falling_peak(loop: OpenLoop) -> float | None:
         return None
     at = _evaluator(loop)
     start = at(wc)
-    if not _is_stable(loop, wc, start):
+    # whether the unwrapped phase at wc is within (-pi, pi)
+    if not loop.leads and not loop.b2 and (loop.order + len(loop.lags)) * RIGHT_ANGLE + loop.theta * wc < FULL_TURN:
+        stable = start.imag < 0  # the phase is between -2 pi and 0
+    else:
+        stable = -math.pi < loop.phase_at(wc) < math.pi
+    if not stable:
         return math.inf
     marched = _march(at, wc, start, loop.theta)
     if marched is None:
@@ -109,13 +114,6 @@ def falling_peak(loop: OpenLoop) -> float | None:
             best = max(best, _refined(loop, vertex, size))
         before, size, w = size, after, next_w
     return best
-
-
-def _is_stable(loop: OpenLoop, wc: float, value: complex) -> bool:
-    """Whether the unwrapped phase at wc is within (-pi, pi); value = L(j wc)."""
-    if not loop.leads and not loop.b2 and (loop.order + len(loop.lags)) * RIGHT_ANGLE + loop.theta * wc < FULL_TURN:
-        return value.imag < 0  # the phase is between -2 pi and 0
-    return -math.pi < loop.phase_at(wc) < math.pi
 
 
 def _crossover(loop: OpenLoop) -> float | None:
@@ -323,7 +321,12 @@ def margins(process: LinearProcess, gains: PidGains, tau_f_s: float = 0.0) -> Ma
     ms = _peak(lambda x: 1 / np.abs(1 + loop.along(x)), points, at_zero[0], at_end[0])
     mt = _peak(lambda x: 1 / np.abs(1 + 1 / loop.along(x)), points, at_zero[1], at_end[1])
     w180, gm = _gain_margin(loop, w180s)
-    wc, pm_rad, delay_s = _phase_margin(loop, crossed)
+    wc, pm_rad, delay_s = math.inf, math.inf, 0.0 if loop.end_size >= 1 else math.inf
+    if crossed:
+        angles = [math.atan2(-value.imag, -value.real) for value in map(loop.at, crossed)]
+        pm_rad, wc = min((abs(angle), w) for angle, w in zip(angles, crossed, strict=True))
+        least_s = min(angle % (2 * math.pi) / w for angle, w in zip(angles, crossed, strict=True))
+        delay_s = 0.0 if loop.end_size >= 1 else least_s
     return Margins(
         stable=True, ms=ms, mt=mt, gm=gm, pm_deg=math.degrees(pm_rad), delay_margin_s=delay_s, w180=w180, wc=wc
     )
@@ -396,16 +399,6 @@ def _gain_margin(loop: OpenLoop, crossings: list[float]) -> tuple[float, float]:
     if loop.theta and loop.end_size > size:
         return math.inf, 1 / loop.end_size
     return -minus_w, 1 / size if size else math.inf
-
-
-def _phase_margin(loop: OpenLoop, crossings: list[float]) -> tuple[float, float, float]:
-    """Gain crossover, smallest phase margin in rad, smallest dead time in s that may be added."""
-    if not crossings:
-        return math.inf, math.inf, 0.0 if loop.end_size >= 1 else math.inf
-    angles = [math.atan2(-value.imag, -value.real) for value in map(loop.at, crossings)]
-    pm, wc = min((abs(angle), w) for angle, w in zip(angles, crossings, strict=True))
-    delay = min(angle % (2 * math.pi) / w for angle, w in zip(angles, crossings, strict=True))
-    return wc, pm, 0.0 if loop.end_size >= 1 else delay
 
 
 # Ultimate gain and period of a process: where a proportional controller brings it to the limit of stability.

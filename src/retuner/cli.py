@@ -180,18 +180,13 @@ def main(arguments: list[str] | None = None) -> int:
         return _tell(2, f"{path}: {wrong.rstrip('.')}. `{path} --help` shows how it is used.")
     except (KeyboardInterrupt, typer.Abort):
         return _tell(INTERRUPTED, "retuner: interrupted")
-    except _driver_errors() as error:
+    except tuple(getattr(sys.modules[home], name) for home, name in DRIVER_ERRORS if home in sys.modules) as error:
         return _tell(2, str(error))
     except OSError as error:
         return _tell(2, f"{error.filename or 'retuner'}: {error.strerror or error}")
     if status == INTERRUPTED:  # newer typer turns Ctrl-C into a status, older ones into Abort
         return _tell(INTERRUPTED, "retuner: interrupted")
     return status if isinstance(status, int) else 0
-
-
-def _driver_errors() -> tuple[type[Exception], ...]:
-    """The drivers' error types of the modules that are in use; asked only when an error passes by."""
-    return tuple(getattr(sys.modules[module], name) for module, name in DRIVER_ERRORS if module in sys.modules)
 
 
 def _tell(status: int, *lines: str) -> int:
