@@ -104,11 +104,7 @@ class _Responses:
     @property
     def to_jump(self) -> FloatArray:
         """Rows from a jump on, shape (n,)."""
-        return self._response(np.arange(self.n))
-
-    def _response(self, since: npt.NDArray[np.intp]) -> FloatArray:
-        """The response so many rows after a jump."""
-        return -np.expm1(-since / self.lag) if self.lag else np.ones(since.shape)
+        return -np.expm1(-np.arange(self.n) / self.lag) if self.lag else np.ones(self.n)
 
 
 def _rest(n: int, lag: float) -> FloatArray:

@@ -96,16 +96,18 @@ def valve_believed(window: Window, sign: int, fits: Fits, settings: FitSettings)
     window : the record. sign : of the process gain. fits : the linear explanations.
     """
     linear = fits.free[0]
-    if not setpoint_changes(window) or not _open(linear):
-        return None
-    at = _search(fits.free, sign)
-    if at is None:
-        return None
-    searched = _searched(window, sign, at, settings)
+    misfit, record = linear.fit.misfit, linear.fit.misfit.record
+    if not setpoint_changes(window) or not (misfit.loads or misfit.ramp or misfit.corners or linear.colour.ar):
+        return None  # the linear explanation needs no more than its process
+    valves = list(_grid(record.co_range))
+    tried = [*_by_nodes(record, sign, valves, fits.free), *_by_processes(valves, fits.free[:OWN])]
+    closest = sorted(tried, key=lambda s: s.fit.criterion)[:POLISHED]
+    at = min((settled(s) for s in closest), key=lambda s: s.fit.criterion, default=None)
+    searched = _searched(window, sign, at, settings) if at is not None else None
     if searched is None:
         return None
     valve, found = searched
-    record, behind = linear.fit.misfit.record, found.free[0]
+    behind = found.free[0]
     price = VALVE_UNKNOWNS * math.log(len(record.pv)) + settings.valve_lead
     if behind.criterion + price > linear.criterion:
         return None
@@ -113,12 +115,6 @@ def valve_believed(window: Window, sign: int, fits: Fits, settings: FitSettings)
         return None
     left = float(np.std(record.pv - linear.fit.explained)) / record.noise_std
     return RecordThroughValve(ValveInLoop(valve, left), _moved_by(window, valve), found)
-
-
-def _open(linear: Candidate) -> bool:
-    """Whether the linear explanation needs more than its process."""
-    misfit = linear.fit.misfit
-    return bool(misfit.loads or misfit.ramp or misfit.corners or linear.colour.ar)
 
 
 def _moved_by(window: Window, valve: StuckValve) -> Window:
@@ -143,15 +139,6 @@ def _searched(window: Window, sign: int, at: Sticking, settings: FitSettings) ->
         as_recorded = replace(found.fit, misfit=replace(found.fit.misfit, record=record))
         valve = fine(Sticking(valve, replace(found, fit=as_recorded))).valve
     return best
-
-
-def _search(linear: list[Candidate], sign: int) -> Sticking | None:
-    """The best valve with one lag or two, or with a process of the linear explanations; None where none explains pv."""
-    record = linear[0].fit.misfit.record
-    valves = list(_grid(record.co_range))
-    found = [*_by_nodes(record, sign, valves, linear), *_by_processes(valves, linear[:OWN])]
-    closest = sorted(found, key=lambda s: s.fit.criterion)[:POLISHED]
-    return min((settled(s) for s in closest), key=lambda s: s.fit.criterion, default=None)
 
 
 def _grid(co_range: float) -> Iterator[StuckValve]:

@@ -232,8 +232,10 @@ class Nodes:
     @classmethod
     def of(cls, record: Record, period_s: float) -> "Nodes":
         """The nodes for a record with a swing."""
+        n, first = len(record.pv), int(UNKNOWN_START * period_s / record.sample_time_s)
+        rows = slice(first if first < n // 3 else 0, None, -(-n // MOST_ROWS))  # thinned, once the start tells no more
         lags = [(lag * period_s, second * period_s) for lag, second in LAGS_PER_PERIOD]
-        return cls.made(record, _rows(record, period_s), lags, [share * period_s for share in THETAS_PER_PERIOD])
+        return cls.made(record, rows, lags, [share * period_s for share in THETAS_PER_PERIOD])
 
     def near(self, record: Record, lags_s: tuple[float, float], theta_s: float, period_s: float) -> "Nodes":
         """Nodes round one of them."""
@@ -267,13 +269,6 @@ class Nodes:
             return ProcessType.FOPDT, np.log([gain, theta, lag])
         total = lag + second
         return ProcessType.SOPDT, np.log([gain * lag / total, theta, total, lag * second / total])
-
-
-def _rows(record: Record, period_s: float) -> slice:
-    """The rows that the coarse scan looks at: thinned, and without the time in which the valve's start still tells."""
-    n = len(record.pv)
-    first = int(UNKNOWN_START * period_s / record.sample_time_s)
-    return slice(first if first < n // 3 else 0, None, -(-n // MOST_ROWS))
 
 
 def _through(record: Record, valves: list[StuckValve], nodes: Nodes) -> tuple[FloatArray, FloatArray]:
