@@ -17,6 +17,7 @@ import numpy as np
 from retuner.adaptive.cause_odds.odds_settings import OddsSettings
 from retuner.adaptive.cause_odds.smoothed_record import with_smoothing
 from retuner.adaptive.explanations.any_load import log_likelihood_of_answers
+from retuner.adaptive.explanations.jumping_load import with_jumps
 from retuner.adaptive.explanations.process_grid import EVERY_LAG, gain_unit, shapes
 from retuner.adaptive.explanations.wandering_load import (
     MOST_SAMPLES,
@@ -65,6 +66,8 @@ def compared(
         return None
     unit = gain_unit(gains, dt) if gains is not None else None
     records, each = zip(*(with_smoothing(record, direction, unit, settings.smooths) for record, _ in both), strict=True)
+    if unit is not None:
+        each = tuple(with_jumps(*one, direction, unit) for one in zip(records, each, strict=True))
     if unit is None:  # no share is asked
         return ComparedRecords(dt, records, each, each, (0.0,) * len(records), (1.0,) * len(records))
     moved = [_share(record, sp, alone) for record, (_, sp), alone in zip(records, both, each, strict=True)]

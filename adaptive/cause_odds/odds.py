@@ -1,14 +1,14 @@
-"""From the records of a loop to the odds of every cause: what load steps explain, and what a load that wanders does.
+"""From the records of a loop to the odds of every cause: a load that wanders and jumps, a tone, or a few load steps.
 
     P(cause) = w P_steps(cause) + (1 - w) P_walk(cause)
 
-P_walk     process, valve and a load that wanders, by their likelihoods over all records and windows of the loop
-           (explanations/): aggressive, slow integrating, sluggish, ok, stiction, nonlinear (the gain changes along pv);
-           where a valve is in question, external: a load that repeats
-P_steps    the verdict where loads are steps, ramps or a tone (diagnosis/diagnose.py), with its confidence; and
-           external, by the odds of a tone beside which the loop is robust
-w          the odds that loads are what the second says: its fit against the walk, with a valve or without. Where its
-           residual is white noise after a few steps it is by far the likelier one; under the loads of a plant it is not
+P_walk     process, valve and a load that wanders or jumps too, by their likelihoods over all records and windows of the
+           loop (explanations/): aggressive, slow integrating, sluggish, ok, stiction, nonlinear (the gain changes along
+           pv); where a valve is in question, external: a load that repeats
+P_steps    the verdict by one fit with its confidence (diagnosis/diagnose.py): a tone, and beside a setpoint that moves
+           the loop by itself; and external, by the odds of a tone beside which the loop is robust
+w          the odds that the record is what the second says: its fit against the walk, with a valve or without. The loop
+           by itself counts where a few load steps leave white noise: no load of a plant does
 
 A test in manual, co in steps, adds its likelihood. What needs no fit (a dead signal, manual, a relay, a controller that
 acts the wrong way) stays as it is told. Records of one loop add up: one process, loads of their own.
@@ -284,10 +284,7 @@ def _under_steps(
             continue
         named, seen = loop / weight * told.confidence, tone / weight * max(outside, HALF)
         shares = {cause: (1.0 - named - seen) * p for cause, p in under_walk.items()}  # where steps are silent
-        by_loads = told.cause == Cause.OK and walk.moved < settings.moved
-        slow = _perhaps_sluggish(under_walk) if by_loads else 0.0
-        by_steps = ((told.cause, named * (1.0 - slow)), (Cause.SLUGGISH, named * slow), (Cause.EXTERNAL, seen))
-        for cause, share in by_steps:
+        for cause, share in ((told.cause, named), (Cause.EXTERNAL, seen)):
             if share:
                 shares[cause] = shares.get(cause, 0.0) + share
         for cause in dict.fromkeys((*shares, *total)):
@@ -298,16 +295,6 @@ def _under_steps(
     top = max(total.values())
     odds = {cause: math.exp(value - top) for cause, value in total.items()}
     return {cause: value / sum(odds.values()) for cause, value in odds.items()}, most
-
-
-def _perhaps_sluggish(under_walk: Mapping[Cause, float]) -> float:
-    """Share of a verdict "in order" by loads alone that a sluggish loop has, as under a load that wanders.
-
-    A slow process makes ramps of steps, and so explains a fast one under loads that are none: of seven loops under real
-    loads that were told as in order so, three were sluggish. No slow process makes what is sharp of a fast one.
-    """
-    ok, sluggish = (under_walk.get(cause, 0.0) for cause in (Cause.OK, Cause.SLUGGISH))
-    return sluggish / (ok + sluggish) if sluggish else 0.0
 
 
 def _one_tone(window: Window, found: RecordVerdict, settings: OddsSettings) -> float:
@@ -367,20 +354,27 @@ def _white(fit: Candidate, most_loads: int, settings: OddsSettings) -> bool:
 
 
 def _weight_of_steps(cause: Cause, found: RecordVerdict, walk: Walk, whole: float, settings: OddsSettings) -> float:
-    """Probability that loads are the steps, or the tone, that a cause rests on, against all that `whole` counts."""
-    fit = found.fits.get(BEHIND.get(cause, "linear"))
+    """Probability that a tone, or a few load steps beside a setpoint that moves, are all that is behind a record,
+    against all that `whole` counts. By loads alone, and where more is left than noise, the load wanders and jumps.
+    """
+    tone = cause == Cause.EXTERNAL
+    fit = found.fits.get("external" if tone else "linear")
     if fit is None:
-        return settings.tone_alone if cause == Cause.EXTERNAL else HALF
+        return settings.tone_alone * tone
+    white = _white(fit, settings.few_loads, settings)
+    if not tone and (not white or walk.moved < settings.moved or cause == Cause.STICTION):
+        return 0.0
     misfit, record = fit.fit.misfit, walk.record
     left = float(np.mean((misfit.record.pv - fit.fit.at.explained) ** 2))
     left /= max(record.sample_time_s / misfit.record.sample_time_s, 1.0)
     steps = misfit.loads + misfit.harmonics
     lead = lead_of_steps(left, steps, len(misfit.record.pv), record, walk.of_record) / TEMPER
-    most = settings.tone_alone if cause == Cause.EXTERNAL else 1.0
-    # a slipping valve looks like load steps: beside one the loop by itself needs none
-    if _white(fit, settings.few_loads if cause == Cause.EXTERNAL else 0, settings):
-        lead, most = lead * settings.steps_weight if lead > 0.0 else lead, 1.0
-        lead = max(lead, 0.0) if cause == Cause.EXTERNAL else lead  # harmonics cost a tone much
+    most = 1.0 if white else settings.tone_alone
+    if white and lead > 0.0 and (tone or not misfit.loads):
+        # a slipping valve looks like load steps: beside one the loop by itself needs none
+        lead *= settings.steps_weight
+    if white and tone:
+        lead = max(lead, 0.0)  # harmonics cost a tone much
     return most / (1.0 + math.exp(-min(max(lead - whole, -50.0), 50.0)))
 
 
@@ -415,8 +409,8 @@ def _verdict(
     """
     cause, p = next(iter(causes.items()))
     shares = {str(c): q for c, q in causes.items()}
-    by_steps = weight >= HALF and told.diagnosis.cause == cause
-    open_to_odds = sure and not (by_steps and told.tuning is not None)
+    by_fit = weight >= HALF and told.diagnosis.cause == cause
+    open_to_odds = sure and not (by_fit and told.tuning is not None)
     # an oscillation lasts and no setpoint step moved the loop: a load that oscillates may be all of it
     alone = not any(setpoint_changes(w) for w, _ in open_ones) and any(_lasts(f) for _, f in open_ones)
     alone = alone and _less(causes) < settings.loads_odds
@@ -426,7 +420,7 @@ def _verdict(
         worth, none = _settings(causes, odds, walk.moved, settings)
         if worth is not None and not _calmer(worth, odds) and overshoots:
             worth, none = None, "more action is no answer to setpoint responses that overshoot"
-    if by_steps and (told.tuning is not None or worth is None):
+    if by_fit and (told.tuning is not None or worth is None):
         return OddsFound(replace(told, diagnosis=replace(told.diagnosis, confidence=p, causes=shares)), odds)
     evidence = {name: value for name, value in told.diagnosis.evidence.items() if name not in OF_ONE_MODEL}
     test = None

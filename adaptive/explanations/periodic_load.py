@@ -16,7 +16,8 @@ import math
 
 import numpy as np
 
-from retuner.adaptive.explanations.slip_odds import FEW, MOST_JUMPS, MOST_ROWS, alone, shocks, whitened
+from retuner.adaptive.explanations.jumping_load import MOST_JUMPS, delayed, shocks, whitened
+from retuner.adaptive.explanations.slip_odds import FEW, MOST_ROWS, alone
 from retuner.adaptive.explanations.valve_odds import LAGS
 from retuner.adaptive.explanations.wandering_load import (
     SLOPE,
@@ -57,7 +58,7 @@ def log_odds_of_repeating(record: Prepared, direction: int) -> tuple[float, floa
     for lag in LAGS:
         moved = responses(record.co, lag)[0]
         for dead in FEW:
-            late = np.concatenate([np.zeros(dead), moved[: n - dead]])
+            late = delayed(moved, dead)
             for load in LOADS:
                 rows, told = shocks(record, lag, 0.0, load, MOST_JUMPS, late)
                 found.append((float(np.max(told)), (lag, load, late, rows)))

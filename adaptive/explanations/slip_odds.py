@@ -14,9 +14,8 @@ Where the slips are is first seen from pv alone: as steps of free sizes through 
 wanders, one by one (orthogonal least squares, Chen, Billings & Luo 1989); and from the turns of co, which a slip turns
 round. Then they are moved, dropped and joined by others while that pays.
 
-A load may jump as well, or turn a corner: then a whitened record of a loop by itself has single shocks. They are found
-in the same way beside co, at 3/2 ln n each (Schwarz 1978: a size, and a time that any row may be). A slow triangle of a
-load under a fast loop looks like a valve here: pv is a square under a triangle of co. Its rival is periodic_load.py.
+A load may jump as well, or turn a corner (jumping_load.py). A slow triangle of a load under a fast loop looks like a
+valve here: pv is a square under a triangle of co. Its rival is periodic_load.py.
 """
 
 import math
@@ -26,22 +25,10 @@ from itertools import pairwise
 
 import numpy as np
 
+from retuner.adaptive.explanations.jumping_load import delayed, shocks, shocks_that_pay
 from retuner.adaptive.explanations.valve_odds import DEAD_TIMES, FREE_DEAD_TIMES, LAGS, Loads
-from retuner.adaptive.explanations.wandering_load import (
-    SLOPE,
-    TEMPER,
-    VALUE,
-    Prepared,
-    filtered,
-    load_models,
-    reduced,
-    responses,
-    spectrum,
-    under_loads,
-    whitening,
-)
+from retuner.adaptive.explanations.wandering_load import SLOPE, TEMPER, VALUE, Prepared, responses, under_loads
 from retuner.adaptive.signals.sample import FloatArray, median
-from retuner.adaptive.valve.plateaus import steps_chosen
 from retuner.adaptive.valve.slips import Co, Slips, TriedSlips, one_moved, with_one_more
 from retuner.schedule.late_dataclass import replace
 
@@ -51,13 +38,10 @@ BESIDE: Loads = tuple((bandwidth, order) for order in (VALUE, SLOPE) for bandwid
 STEPPING: Loads = ((0.1, VALUE), (0.8, VALUE))
 JUMPING: Loads = (*STEPPING, (0.02, SLOPE), (0.1, SLOPE), (0.8, SLOPE))
 """Bandwidths and orders of loads beside slips and co, beside steps, and of those that jump or turn a corner."""
-MOST_STEPS, MOST_JUMPS = 40, 12
-STEP_PRICE, LEAST_PRICE, JUMP_PRICE = 5.0, 3.0, 1.5
-"""Price of a step that is a start only, and of one in the bound on slips; of a jump of the load beside co, in ln n. The
-bound is found by trial: of 35 valves that were told, 34 have free steps at 3 each that are likelier than co itself by
-15 or more, and one has as many as are looked for."""
-UNIQUE = 1e-6
-"""A shock of which less than this share is not explained by the others is no further one."""
+MOST_STEPS, STEP_PRICE, LEAST_PRICE = 40, 5.0, 3.0
+"""Steps at the most, the price of one that is a start only, and of one in the bound on slips. The bound is found by
+trial: of 35 valves that were told, 34 have free steps at 3 each that are likelier than co itself by 15 or more, and one
+has as many as are looked for."""
 STARTS, POLISHED, ROUNDS = 12, 2, 3
 """Sets of steps that are tried as slips, those that are moved about, and how often at the most."""
 LATE = (0, 1, 2, 4, 7, 12, 20)
@@ -122,45 +106,11 @@ def _told(
     return np.asarray(told.reshape(len(loads), -1, len(inputs)).max(axis=1))
 
 
-def shocks(
-    record: Prepared, lag: float, second: float, load: tuple[float, int], most: int, beside: FloatArray | None = None
-) -> tuple[list[int], FloatArray]:
-    """Rows of single shocks of a load, each where it takes away most; ln L before and after each, unpriced.
-
-    second : a further lag that the shocks go through, 0 for none. beside : what co does, shape (n,).
-    """
-    n = len(record.pv)
-    y, basis, response = whitened(record, lag, load, beside, second)
-    found, left = steps_chosen(y, response, basis, UNIQUE, most)
-    noise = n * record.resolution**2
-    told = -(n - basis.shape[1]) / 2.0 * np.log((np.array(left) + noise) / float(np.var(record.pv)))
-    return [row + 1 for row in found], told
-
-
-def whitened(
-    record: Prepared, lag: float, load: tuple[float, int], beside: FloatArray | None = None, second: float = 0.0
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """As for `shocks`: pv whitened, orthonormal columns of starts and co's part in it, and what a shock does."""
-    n, (model,) = len(record.pv), load_models(lag, load[:1], load[1])
-    memory, basis = whitening(n, (math.exp(-1.0 / second),) if second else (), model)
-    rows = record.pv[None] if beside is None else np.array([record.pv, beside])
-    y, *co = filtered(spectrum(reduced(rows, model.roots)), n, memory)
-    if co:
-        basis = np.linalg.qr(np.column_stack([basis, *co]))[0]
-    response = np.concatenate([[0.0], memory[:-1]])
-    if second:
-        response = filtered(spectrum(response), n, np.exp(-np.arange(n, dtype=np.float64) / second))
-    return y, basis, response
-
-
 def _jumping(record: Prepared) -> float:
     """ln L of co itself, where the load jumps or turns corners besides, at their price."""
-    price, n = JUMP_PRICE * math.log(len(record.pv)), len(record.pv)
 
     def told(moved: FloatArray, lag: float, load: tuple[float, int], dead: int) -> float:
-        late = np.concatenate([np.zeros(dead), moved[: n - dead]])
-        found = shocks(record, lag, 0.0, load, MOST_JUMPS, late)[1]
-        return float(np.max(found - price * np.arange(len(found))))
+        return shocks_that_pay(record, lag, load, delayed(moved, dead))[1]
 
     behind = {lag: responses(record.co, lag) for lag in LAGS}
     first = {

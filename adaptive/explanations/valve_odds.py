@@ -24,20 +24,24 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from retuner.adaptive.explanations.jumping_load import delayed, shocks_that_pay
 from retuner.adaptive.explanations.tone import Tone
 from retuner.adaptive.explanations.wandering_load import (
+    SLOPE,
     T_SETPOINT,
     TEMPER,
+    VALUE,
     Prepared,
     filtered,
     impulse_response,
     pole_of,
+    responses,
     spectrum,
     under_loads,
 )
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.adaptive.valve.valve_model import Family, StuckValve
-from retuner.schedule.late_dataclass import dataclass
+from retuner.schedule.late_dataclass import dataclass, replace
 
 Valve = tuple[Family, float, float, float]
 """Band as a share of co's range, jump of the band, and where it stands in its band at first, -1 to 1."""
@@ -73,6 +77,8 @@ Loads = Sequence[tuple[float, int]]
 LOADS: Loads = tuple((bandwidth, order) for order in (1, 2) for bandwidth in (0.05, 0.2, 0.8, math.inf))
 """Bandwidth and order of the loads that are tried."""
 FREE_LAGS = (0.5, *LAGS)
+JUMPING: Loads = ((0.1, VALUE), (0.8, VALUE), (0.1, SLOPE))  # those that jump besides
+JUMPED = 4  # likeliest valves of each kind that are compared beside such a load, and first lags of each
 OCTAVES: Loads = tuple((bandwidth, order) for order in (1, 2) for bandwidth in (0.05, 0.1, 0.2, 0.4, 0.8, math.inf))
 """Those beside a valve, which takes the place of a lag or an octave that is missing."""
 
@@ -105,7 +111,8 @@ def log_odds_of_valve(records: Sequence[Prepared], direction: int, tone: Tone = 
 @dataclass(frozen=True, slots=True)
 class _Compared:
     """A record beside valves. loads : the likeliest. free : tempered log-likelihood of co itself. odds : ln Bayes
-    factor, tempered. likeliest : valves of each kind, bands in co units, out of so many that move (among).
+    factor, tempered. likeliest : valves of each kind, bands in co units, out of so many that move (among). jumps :
+    whether loads that jump are asked.
     """
 
     record: Prepared
@@ -116,6 +123,7 @@ class _Compared:
     odds: float
     likeliest: list[list[Valve]]
     among: list[int]
+    jumps: bool = False
 
     def beside(self, valves: Sequence[Valve]) -> FloatArray:
         """ln Bayes factor of each valve, wherever it stood first; tempered."""
@@ -124,9 +132,25 @@ class _Compared:
         rows -= rows[..., :1]
         found = _screened(self.record, self.direction, self.tone, rows.reshape(-1, len(co)), self.loads[:SCREENED])
         at = np.argmax(found.max(axis=0).reshape(len(valves), -1), axis=1)
-        return (
-            _likeliest(self.record, self.direction, self.tone, rows[np.arange(len(valves)), at], self.loads) - self.free
-        )
+        rows = rows[np.arange(len(valves)), at]
+        found = _likeliest(self.record, self.direction, self.tone, rows, self.loads)
+        if self.jumps:
+            found = np.array([self.jumping(*one) for one in zip(rows, found.tolist(), strict=True)])
+        return found - self.free
+
+    def jumping(self, row: FloatArray, told: float) -> float:
+        """Tempered log-likelihood of an input where in one half of cases the load jumps or turns corners besides.
+
+        told : where it only wanders. Jumps are loads, and count as those do.
+        """
+        given = self.record, self.direction, self.tone, row[None]
+        each = [_weighed(*given, lag, self.loads, FREE_DEAD_TIMES)[:, :, 0].max(axis=0) for lag in FREE_LAGS]
+        most = -math.inf
+        for k in np.argsort([-float(one.max()) for one in each], kind="stable")[:JUMPED]:
+            for moved, behind in zip(responses(row, FREE_LAGS[k]), each[k], strict=True):
+                late = delayed(moved, int(FREE_DEAD_TIMES[int(np.argmax(behind))]))
+                most = max(most, *(shocks_that_pay(self.record, FREE_LAGS[k], load, late)[1] for load in JUMPING))
+        return told + float(np.logaddexp(0.0, (most - T_SETPOINT * told) / TEMPER)) - math.log(2.0)
 
 
 def _compared(record: Prepared, direction: int, tone: Tone) -> _Compared | None:
@@ -141,16 +165,26 @@ def _compared(record: Prepared, direction: int, tone: Tone) -> _Compared | None:
     by_load = np.maximum(*(_screened(record, direction, tone, rows, OCTAVES).max(axis=1) for rows in (co, moved[0][1])))
     loads = [OCTAVES[i] for i in np.argsort(-by_load, kind="stable")[:CLOSER_LOADS]]
     free = float(_likeliest(record, direction, tone, co, loads, len(FREE_LAGS)).max())
-    said, likeliest = [], []
+    said, likeliest, beside = [], [], []
     for valves, (which, rows) in zip(KINDS, moved, strict=True):
         screened = _screened(record, direction, tone, rows, loads[:SCREENED]).max(axis=0)
         first = np.argsort(-screened, kind="stable")[:LIKELIEST]
         found = _likeliest(record, direction, tone, rows[first], loads) - free
         said.append(log_mean(found) + math.log(len(first) / len(which)))
-        best = [valves[which[i]] for i in first[np.argsort(-found, kind="stable")]]
+        order = np.argsort(-found, kind="stable")
+        best = [valves[which[i]] for i in first[order]]
         likeliest.append([(family, travel * band, jump, start) for family, band, jump, start in best])
+        beside.append((rows[first[order[:JUMPED]]], found[order[:JUMPED]] + free))
     among = [len(which) for which, _ in moved]
-    return _Compared(record, direction, tone, loads, free, log_mean(np.array(said)), likeliest, among)
+    one = _Compared(record, direction, tone, loads, free, log_mean(np.array(said)), likeliest, among)
+    if one.odds <= 0.0 or len(tone[0]):
+        return one
+    # free jumps of a load explain what the slips of a valve do, so both sides have them
+    one, said = replace(one, free=one.jumping(record.co, free), jumps=True), []
+    for (rows, found), many in zip(beside, among, strict=True):
+        with_jumps = np.array([one.jumping(*each) for each in zip(rows, found.tolist(), strict=True)]) - one.free
+        said.append(log_mean(with_jumps) + math.log(len(rows) / many))
+    return replace(one, odds=log_mean(np.array(said)))
 
 
 def _screened(record: Prepared, direction: int, tone: Tone, rows: FloatArray, loads: Loads) -> FloatArray:

@@ -1,0 +1,75 @@
+"""Where a load jumps or turns a corner, its jumps are no process's doing, and no valve's."""
+
+import math
+
+import numpy as np
+import pytest
+
+from retuner.adaptive.explanations.jumping_load import with_jumps
+from retuner.adaptive.explanations.process_grid import GAINS, LAGS, shapes
+from retuner.adaptive.explanations.valve_odds import log_odds_of_valve
+from retuner.adaptive.explanations.wandering_load import TEMPER, Prepared, log_likelihood
+from retuner.adaptive.fit import engine
+
+N, GAIN = 400, 1.2
+LOADS = {
+    "jumps": np.repeat([0.0, 3.0, -2.0, 1.0, 4.0], N // 5),
+    "turns corners": np.interp(np.arange(N), [0, 90, 170, 300, N], [0.0, 4.0, -2.0, 3.0, 0.0]),
+    "pulses": 4.0 * np.isin(np.arange(N) // 40, (2, 6)),
+    "wanders": 0.05 * np.cumsum(np.random.default_rng(1).standard_normal(N)),
+}
+
+
+def record(
+    load: str, kp: float = 0.6, ki: float = 0.05, lag: float = 15.0, noise: float = 0.03, slips: float = 0.0
+) -> Prepared:
+    """PI on a lag behind a valve that slips all the way once co is so far from it, under a load at its input."""
+    rng, pv, co = np.random.default_rng(1), np.zeros(N), np.zeros(N)
+    y = total = at = 0.0
+    for i, push in enumerate(LOADS[load].tolist()):
+        pv[i] = y + noise * rng.standard_normal()
+        total -= ki * pv[i]
+        co[i] = total - kp * pv[i]
+        at = co[i] if abs(co[i] - at) > slips else at
+        y += (1.0 - math.exp(-1.0 / lag)) * (GAIN * (at + push) - y)
+    return Prepared(pv - pv[0], co - co[0], 0.0, 1.0)
+
+
+def compared(of: Prepared) -> tuple[np.ndarray, np.ndarray]:
+    walk = log_likelihood(of, 1, 0.6)
+    return walk, with_jumps(of, walk, 1, 0.6)
+
+
+@pytest.mark.parametrize(("load", "lead"), [("jumps", 15.0), ("turns corners", 3.0)])
+def test_jumps_of_a_load_make_its_process_likelier(load: str, lead: float) -> None:
+    walk, jumping = compared(record(load, noise=0.01))
+    assert jumping.max() > walk.max() + lead
+    near, (row, _, gain) = LAGS.index(15.0), np.unravel_index(int(np.argmax(jumping)), jumping.shape)
+    if load == "jumps":
+        assert shapes()[row].lag in LAGS[near - 1 : near + 2]
+        assert 0.5 < GAINS[gain] / (GAIN * 0.6) < 2.0
+
+
+def test_a_load_that_only_wanders_needs_no_jumps() -> None:
+    walk, jumping = compared(record("wanders"))
+    assert np.all(jumping >= walk - math.log(2.0) - 1e-9)
+    assert jumping.max() < walk.max() + 6.0 / TEMPER
+
+
+def test_both_engines_say_the_same() -> None:
+    of = record("jumps")
+    _, one = compared(of)
+    with engine.using("numpy"):
+        _, other = compared(of)
+    assert other == pytest.approx(one, abs=1e-5)
+
+
+def test_jumps_of_a_load_are_no_valve_and_one_that_slips_is_seen_under_them() -> None:
+    """Where a load only wanders the first three were valves by e^8, e^4 and e^2, and the last one by e^9."""
+    free = (
+        record("jumps", 0.3, 0.01, 60.0, 0.01),
+        record("pulses", 0.1, 0.004, noise=0.01),
+        record("pulses", noise=0.01),
+    )
+    assert all(log_odds_of_valve([one], 1) < 0.0 for one in free)
+    assert log_odds_of_valve([record("pulses", noise=0.01, slips=2.0)], 1) > 20.0
