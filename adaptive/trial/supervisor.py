@@ -52,18 +52,6 @@ AFTER_SILENCE = {P.RESTORING: "are rolled back", P.WAITING: "stay, awaiting oper
 MOST_EDITS = 6  # doublings of the time for which a person's gains are held
 
 
-def nothing_known(region: int) -> StillAllowed:
-    """No models at all."""
-    del region
-    return NOTHING_KNOWN
-
-
-def nobody(region: int) -> bool:
-    """No person has the next word."""
-    del region
-    return False
-
-
 class TrialSupervisor:
     """See the head of this file.
 
@@ -78,8 +66,8 @@ class TrialSupervisor:
         settings: TrialSettings,
         sample_time_s: float,
         into_table: Callable[[int, PidGains], None],
-        known: Callable[[int], StillAllowed] = nothing_known,
-        asks: Callable[[int], bool] = nobody,
+        known: Callable[[int], StillAllowed] = lambda _region: NOTHING_KNOWN,
+        asks: Callable[[int], bool] = lambda _region: False,
     ) -> None:
         self.settings = settings
         self._shortest_s = LEAST_SAMPLES * sample_time_s
@@ -154,19 +142,9 @@ class TrialSupervisor:
         """
         if not self.may_change(region, t_s, urgent=urgent, ordered=ordered):
             raise ValueError(f"region {region} may not be changed now: {self.phase(region)}")
-        self._trials[region] = replace(
-            self.of(region),
-            old=old,
-            new=new,
-            ran=False,
-            prediction=prediction,
-            since_s=t_s,
-            kept=0,
-            silent=0,
-            cause=None,
-            back=None,
-            seen=None,
-        )
+        was, begun = self.of(region), Trial(old=old, new=new, prediction=prediction, since_s=t_s)
+        lasting = replace(begun, rollbacks=was.rollbacks, edits=was.edits, until_s=was.until_s, earlier=was.earlier)
+        self._trials[region] = replace(lasting, phase=was.phase)
         self._move(region, _asked(urgent, ordered), t_s)
 
     def written(self, region: int, gains: PidGains, t_s: float) -> bool:
