@@ -206,8 +206,7 @@ class GainWriter:
                 self._came_about(meant, running.seq, running)
             elif trial.phase is TrialPhase.WRITING:
                 reason = "the session ended in the middle of it, and it does not run"
-                body = {"why": Why.RETUNE, "region": self._name(at), "decision": None, "reason": reason}
-                self._to_ledger("dropped", self.t_s, body)
+                self._note("dropped", meant, decision=None, reason=reason)
                 self.retuner.not_written(at)
         wanted = self._to_restore(running, now_s) if self.restoring else self._wanted(running.gains)
         if wanted is not None and (not self.frozen or wanted.why == Why.RESTORE):
@@ -222,18 +221,10 @@ class GainWriter:
 
     def _came_about(self, write: WantedSet, seq: int, running: RunningSet) -> None:
         """A set runs, as read back: recorded, then the table has it."""
-        body = {
-            "why": write.why,
-            "region": self._name(write.region),
-            "sequence": seq,
-            "gains": gains_dict(running.gains),
-            "crc": running.crc,
-        }
         mixed = self.retuner.table.lookup == Lookup.INTERPOLATED
         stored = write.stored if mixed and write.stored is not None else running.gains
-        if write.why == Why.RETUNE and mixed:
-            body["stored"] = gains_dict(stored)
-        self._to_ledger("committed", self.t_s, body)
+        more = {"stored": gains_dict(stored)} if write.why == Why.RETUNE and mixed else {}
+        self._note("committed", write, sequence=seq, gains=gains_dict(running.gains), crc=running.crc, **more)
         self._newest = write.why
         if write.why == Why.RETUNE:
             self._in_table_now(write, stored)
@@ -243,8 +234,7 @@ class GainWriter:
         self._pending = None
         self.machine.take(WriterInput.DROP)
         gains = self.retuner.settings.rounded(write.gains)
-        body = {"why": write.why, "region": self._name(write.region), "gains": gains_dict(gains), "reason": LATER}
-        self._to_ledger("committed", self.t_s, body)
+        self._note("committed", write, gains=gains_dict(gains), reason=LATER)
         self._in_table_now(write, gains)
 
     def _in_table_now(self, write: WantedSet, stored: PidGains) -> None:
@@ -297,16 +287,9 @@ class GainWriter:
 
         Leaving gains in force that nothing vouches for would be worse than a missing row.
         """
-        decision = wanted.decision
-        body = {
-            "why": wanted.why,
-            "region": self._name(wanted.region),
-            "gains": gains_dict(wanted.gains),
-            "base": running.seq,
-            "before": gains_dict(running.gains),
-            "decision": decision.digest() if decision else None,
-        }
-        self._to_ledger("intent", self.t_s, body)
+        new, before = gains_dict(wanted.gains), gains_dict(running.gains)
+        digest = wanted.decision.digest() if wanted.decision else None
+        self._note("intent", wanted, gains=new, base=running.seq, before=before, decision=digest)
         if self.frozen and wanted.why != Why.RESTORE:
             return
         try:
@@ -401,8 +384,7 @@ class GainWriter:
 
     def _dropped(self, wanted: WantedSet, reason: str) -> None:
         if wanted.decision is not None:
-            about = {"why": wanted.why, "region": self._name(wanted.region), "decision": wanted.decision.digest()}
-            self._to_ledger("dropped", self.t_s, {**about, "reason": reason})
+            self._note("dropped", wanted, decision=wanted.decision.digest(), reason=reason)
             self.retuner.not_written(wanted.region)
 
     def _give_up(
@@ -413,16 +395,14 @@ class GainWriter:
         if wanted.why == Why.RESTORE:
             self._restore_at_s = now_s + self._span_s(RESTORE_RETRY_SAMPLES << min(self._refusals, RESTORE_DOUBLINGS))
             self._refusals += 1
-        body = {
-            "why": wanted.why,
-            "region": self._name(wanted.region),
-            "reason": reason,
-            "running": gains_dict(running) if running else None,
-            "unchanged": not written,
-        }
-        self._to_ledger("refused", self.t_s, body)
+        runs = gains_dict(running) if running else None
+        self._note("refused", wanted, reason=reason, running=runs, unchanged=not written)
         if wanted.why == Why.RETUNE and not written:
             self.retuner.not_written(wanted.region)
+
+    def _note(self, kind: str, of: WantedSet, **more: object) -> None:
+        """A row of the ledger on a set that should run."""
+        self._to_ledger(kind, self.t_s, {"why": of.why, "region": self._name(of.region), **more})
 
     def _in_table(self) -> PidGains | None:
         region, retuner = self.retuner.region, self.retuner
