@@ -45,6 +45,7 @@ from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass
+from retuner.schedule.plain_values import plain_values
 
 # ---- Shape of the curve that pv draws over co
 
@@ -208,9 +209,7 @@ def screen(
         "at_low_limit": limits.low,
         "at_high_limit": limits.high,
         "limits_hit": float(limits.hit),
-        "still_share": state.still_share,
-        "sp_moving_share": state.sp_moving_share,
-        "offset": state.offset,
+        **plain_values(state, "still_share sp_moving_share offset"),
         **_recording(window, limits),
     }
     seen = setpoint_responses(window.sp, window.pv)
@@ -240,12 +239,7 @@ def _recording(window: Window, limits: AtLimits) -> dict[str, float | None]:
     co = recording_quality(window.co[moving]) if np.sum(moving) > FEWEST_MOVING else None
     found: dict[str, float | None] = {}
     if pv is not None:
-        found |= {
-            "noise_share": pv.noise_share,
-            "quantum_pv": pv.quantum,
-            "repeated_pv": pv.repeated,
-            "compression_pv": pv.compression,
-        }
+        found |= plain_values(pv, "noise_share quantum_pv=quantum repeated_pv=repeated compression_pv=compression")
     if co is not None:
         found |= {"quantum_co": co.quantum, "repeated_co": co.repeated, "compression_co": co.compression}
     return found

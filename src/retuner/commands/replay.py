@@ -27,6 +27,7 @@ from retuner.errors import UserError
 from retuner.replay.replaying import Replay, ReplayedSession
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, field, fields
+from retuner.schedule.plain_values import plain_values
 from retuner.session.assembly import make_retuner, schedule_inputs
 from retuner.session.outputs import RecordedSession, differences, read_loops
 from retuner.verbosity import busy
@@ -69,12 +70,9 @@ def document(session: RecordedSession, result: ReplayedSession) -> dict[str, obj
     return {
         "session": str(session.folder),
         "loop": session.config.loop.name,
-        "identical": result.identical,
-        "same_verdicts": result.agrees,
+        **plain_values(result, "identical same_verdicts=agrees"),
         "engines": {"then": result.engines[0], "here": result.engines[1]} if result.engines else None,
-        "samples": result.samples,
-        "compared": result.compared,
-        "first_difference": result.difference.to_dict() if result.difference else None,
+        **plain_values(result, "samples compared first_difference=difference"),
         "reason": result.stopped or None,
         "other_versions": differences(session.versions),
         "decisions": [decision.to_dict() for decision in result.decisions],

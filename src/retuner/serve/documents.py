@@ -17,6 +17,7 @@ from retuner.live_view.live_file import FIELDS
 from retuner.report.ledger_words import LedgerLine, no_formula
 from retuner.report.what_if import MS_LIMIT, of_region
 from retuner.schedule.gains import PidGains
+from retuner.schedule.plain_values import plain_values
 from retuner.serve.ledger_tail import Decided, Document, LedgerTail
 from retuner.serve.runs import RecordedRuns, WatchedLoop, WatchedSession
 from retuner.session.order_queue import SHORT
@@ -35,11 +36,7 @@ def overview(runs: RecordedRuns) -> Document:
     sessions = [
         {
             "name": s.name,
-            "ended": s.ledger.ended,
-            "stopped": s.ledger.interrupted,
-            "rows": s.ledger.count,
-            "head": s.ledger.head,
-            "broken": s.ledger.broken,
+            **plain_values(s.ledger, "ended stopped=interrupted rows=count head broken"),
             "loops": [_short(s, loop) for loop in s.loops.values()],
             "outcome": outcome(s),
         }
@@ -123,9 +120,7 @@ def loop_document(session: WatchedSession, loop: WatchedLoop) -> Document:
     mine = [one for one in session.ledger.decisions if _is_of(one, loop)]
     return {
         **_short(session, loop),
-        "rows": session.ledger.count,
-        "ledger_head": session.ledger.head,
-        "broken": session.ledger.broken,
+        **plain_values(session.ledger, "rows=count ledger_head=head broken"),
         "decisions": [_decision(one) for one in mine[-NEWEST:]],
         "trial": _trial(mine),
         "outcome": outcome(session),

@@ -25,6 +25,7 @@ from retuner.errors import UserError
 from retuner.files import write_whole
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass
+from retuner.schedule.plain_values import plain_values
 from retuner.session.outputs import ORDERS
 
 TAKEN, REFUSED = "taken", "refused"
@@ -101,17 +102,8 @@ class Order:
 
     def to_dict(self) -> dict[str, object]:
         """Plain values."""
-        return {
-            "order": str(self.kind),
-            "by": self.by,
-            "at": self.at,
-            "note": self.note,
-            "digest": self.digest,
-            "decision": self.decision,
-            "region": self.region,
-            **({"mode": self.mode} if self.mode else {}),
-            **({"gains": {name: getattr(self.gains, name) for name in GAINS}} if self.gains else {}),
-        }
+        own = [name for name in ("mode", "gains") if getattr(self, name)]
+        return plain_values(self, " ".join(("order=kind by at note digest decision region", *own)))
 
     @classmethod
     def from_dict(cls, body: Mapping[str, Any]) -> "Order":
@@ -131,17 +123,9 @@ class Order:
                 raise ValueError(f"{name} must be {KINDS[kind]}")
         if body["order"] not in tuple(OrderKind):
             raise ValueError(f"order must be {', '.join(OrderKind)}")
-        return cls(
-            OrderKind(body["order"]),
-            body["by"],
-            body["at"],
-            body["note"],
-            body["digest"],
-            body["decision"],
-            body["region"],
-            body.get("mode", ""),
-            proposed_gains(body.get("gains")),
-        )
+        order, by, at, note, digest, decision, region = (body[name] for name in list(known)[:7])  # every order's
+        mode, gains = body.get("mode", ""), proposed_gains(body.get("gains"))
+        return cls(OrderKind(order), by, at, note, digest, decision, region, mode, gains)
 
 
 def proposed_gains(body: object) -> PidGains | None:
