@@ -3,11 +3,11 @@
 from pathlib import Path
 
 import pytest
+from command_line import refused
 
 from retuner.adaptive.supervision.admission import AdmissionSettings
 from retuner.adaptive.supervision.decision import Mode
 from retuner.adaptive.without_model.proposal_without_model import WithoutModelSettings
-from retuner.cli import main
 from retuner.config.loading import load_config, parse_config
 from retuner.session.assembly import retuner_settings
 
@@ -65,10 +65,8 @@ step_up = 1.1
         ("[adaptation]\npretune_step_pct = 80.0\n", "pretune_step_pct"),
     ],
 )
-def test_what_is_out_of_range_is_one_line_with_its_place(text, named, tmp_path, capsys):
-    assert main(["check", str(written(tmp_path, text))]) == 2
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1
+def test_what_is_out_of_range_is_one_line_with_its_place(text, named, tmp_path):
+    error = refused("check", str(written(tmp_path, text)))
     assert named in error
     assert "loop.toml" in error
 

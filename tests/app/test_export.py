@@ -332,21 +332,19 @@ WRONG = [
 
 
 @pytest.mark.parametrize(("arguments", "told"), WRONG)
-def test_what_is_wrong_is_one_line(arguments, told, tmp_path, capsys):
+def test_what_is_wrong_is_one_line(arguments, told, tmp_path):
     gains = tmp_path / "gains.toml"
     gains.write_text(to_toml(TABLES["hard"]))
-    assert main(["export", str(gains), *arguments]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
+    (line,) = refused("export", gains, *arguments).splitlines()
     assert told in line
 
 
-def test_a_session_of_several_loops_names_its_tables(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_session_of_several_loops_names_its_tables(tmp_path: Path) -> None:
     for loop in ("drum", "steam"):
         gains = tmp_path / "loops" / loop / "gains.toml"
         gains.parent.mkdir(parents=True)
         gains.write_text(to_toml(TABLES["hard"]))
-    assert main(["export", str(tmp_path), "--format", "csv"]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
+    (line,) = refused("export", tmp_path, "--format", "csv").splitlines()
     assert str(Path("loops") / "drum" / "gains.toml") in line
     assert str(Path("loops") / "steam" / "gains.toml") in line
     assert main(["export", str(tmp_path / "loops" / "drum"), "--format", "csv"]) == 0
@@ -372,7 +370,7 @@ def test_regions_of_the_same_names_at_other_places_change_nothing(tmp_path):
     assert path.read_text() == CONFIG
 
 
-def test_of_several_loops_the_one_that_the_table_names_is_written(tmp_path, capsys):
+def test_of_several_loops_the_one_that_the_table_names_is_written(tmp_path):
     schedule = CONFIG[CONFIG.index("[schedule]") :].replace("schedule", "loop.schedule")
     one = CONFIG[CONFIG.index("[loop]") : CONFIG.index("[schedule]")].replace("[loop]", "[[loop]]") + schedule
     path, gains = tmp_path / "loops.toml", tmp_path / "gains.toml"
@@ -388,7 +386,6 @@ def test_of_several_loops_the_one_that_the_table_names_is_written(tmp_path, caps
     assert len(changed) == 2
     assert min(changed) > len(one.splitlines())
     gains.write_text(to_toml(TABLES["hard"]))  # of a loop that is none of these
-    assert main(["export", str(gains), "--into", str(path)]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
+    (line,) = refused("export", gains, "--into", path).splitlines()
     assert "has the loops oven, kiln, the table is of" in line
     assert "--loop" not in line

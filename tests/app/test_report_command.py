@@ -112,10 +112,8 @@ def test_a_damaged_session_is_told_in_one_line(session: Path, tmp_path: Path, da
     ("out", "said"),
     [("none/r.html", "none does not exist; make it first"), (".", "is a folder; give the name of a file")],
 )
-def test_where_a_report_cannot_be_written_is_told_by_its_own_name(session, tmp_path, out, said, capsys):
-    capsys.readouterr()
-    assert main(["report", str(session), "--out", str(tmp_path / out)]) == 2
-    told = capsys.readouterr().err
+def test_where_a_report_cannot_be_written_is_told_by_its_own_name(session, tmp_path, out, said):
+    told = refused("report", session, "--out", str(tmp_path / out))
     assert told.startswith(f"{tmp_path / out}: ")
     assert said in told
     assert not list(tmp_path.iterdir())

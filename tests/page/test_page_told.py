@@ -10,7 +10,6 @@ import pytest
 from command_line import refused
 from served import AFTER, Served, Session
 
-from retuner.cli import main
 from retuner.report.ledger_words import LedgerLine
 from retuner.serve import hub as hubs
 from retuner.serve.documents import rows_csv
@@ -247,12 +246,11 @@ def test_an_act_goes_into_an_order_file_of_the_session(session: Session, served:
         (["demo", "--host", "203.0.113.9"], "cannot listen there"),
     ],
 )
-def test_what_cannot_be_served_is_one_line_and_status_2(arguments, told, tmp_path, monkeypatch, capsys):
+def test_what_cannot_be_served_is_one_line_and_status_2(arguments, told, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     if arguments[0] == "demo":
         Session(tmp_path / "demo").close()
-    assert main(["serve", *arguments]) == 2
-    shown = capsys.readouterr().err
+    shown = refused("serve", *arguments)
     assert told in shown
     assert len(shown.splitlines()) == 1
 
