@@ -285,7 +285,8 @@ def update_across(crossing: Crossing, shown: FittedCrossing, region: int, known:
     logs = [_at_centre(crossing, one, region) for one in shown.found]
     best, alone, limit = logs[0], shown.alone, crossing.fit
     unsure = best.gain_uncertainty(crossing.window.sample_time_s)
-    left, beyond = shown.found[0].left, _beyond(crossing, shown)
+    left = shown.found[0].left  # what the curves leave; beyond : in standard deviations of the noise
+    beyond = replace(alone, residual_std=left).unexplained(float(np.ptp(crossing.window.pv)))
     is_known = unsure <= limit.gain_std_limit and beyond <= limit.remainder_limit
     reason = "fitted along its way, with the process in motion"
     if beyond > limit.remainder_limit:
@@ -303,7 +304,7 @@ def update_across(crossing: Crossing, shown: FittedCrossing, region: int, known:
         alternatives=tuple(alternatives),
         plausible=spread(scattered(best, crossing.tracker)),
     )
-    if _beyond(crossing, shown) > crossing.fit.remainder_limit:
+    if beyond > limit.remainder_limit:
         return Learned(own, estimate, Agreement.SILENT, 0.0)
     curve = shown.found[0].co_curve
     if known is not None and known.log.sign == estimate.log.sign:
@@ -327,12 +328,6 @@ def taught_beside(crossing: Crossing, shown: FittedCrossing, taught: int) -> dic
             if learned.region_model is not None and learned.agreement in {Agreement.FIRST, Agreement.AGREES}:
                 found[region] = learned.region_model
     return found
-
-
-def _beyond(crossing: Crossing, shown: FittedCrossing) -> float:
-    """What the curves leave, in standard deviations of the noise."""
-    left = replace(shown.alone, residual_std=shown.found[0].left)
-    return left.unexplained(float(np.ptp(crossing.window.pv)))
 
 
 def _at_centre(crossing: Crossing, one: InMotion, region: int) -> LogModel:
