@@ -228,7 +228,8 @@ def _in_order_with_play(loop: JudgedLoop, found: RecordVerdict) -> str:
     assert found.tuning is not None
     least = loop.best.criterion
     most, limit = loop.settings.fit.choice.most_loads, least + loop.settings.play_asked
-    rivals = [with_play(candidate, most) for candidate in loop.found if candidate.criterion < limit]
+    asked = {candidate.found: candidate for candidate in loop.found if candidate.criterion < limit}
+    rivals = [with_play(candidate, most) for candidate in asked.values()]
     played = min(rivals, key=lambda s: s.fit.criterion)
     if played.fit.criterion > least:
         return ""

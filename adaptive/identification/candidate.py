@@ -28,6 +28,13 @@ class Candidate:
     criterion: float
 
     @property
+    def found(self) -> tuple[object, ...]:
+        """What two candidates of a record have in common that are one, found on two ways."""
+        m = self.fit.misfit
+        loads = m.loads, m.corners, m.rounded, m.ramp, m.harmonics
+        return m.type, m.sign, loads, m.sigma, m.ar, m.most_order, self.criterion, self.fit.p.tobytes()
+
+    @property
     def whitened(self) -> bool:
         """Whether it was fitted with the filter that its remainder asks for."""
         return self.fit.misfit.ar == self.colour.ar

@@ -140,7 +140,9 @@ def candidates(
     for relative in _relatives(winner, seen, settings.further):
         seen.add(improved(relative, settings.most_loads, seen, RELATIVE_MOVES))
     whole = replace(Record.of(window, most_samples), barred_s=barred_s)
-    return CandidateList([_on(whole, c) for c in seen.ranked(CLOSE)]).ranked(CLOSE)
+    ranked = seen.ranked(CLOSE)
+    finished = {which: _on(whole, c) for which, c in {c.found: c for c in ranked}.items()}
+    return CandidateList([finished[c.found] for c in ranked]).ranked(CLOSE)
 
 
 def _on(record: Record, found: Candidate) -> Candidate:
