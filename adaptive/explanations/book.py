@@ -87,7 +87,7 @@ keep Ms under this. A loop at work comes from neither: one that does next to not
 SHARES = (1.0, 0.5, 0.25)  # shares of the gains in force, one of which must hold a process that runs away
 RUNAWAYS = 0.02
 """Odds that a process runs away by itself, before any record: exothermic reactors, some tanks and vehicles."""
-NUMBERS = ("unit", "dt_s", "t_s", "moved", "moved_before")  # of a book, kept as they are
+NUMBERS = ("unit", "dt_s", "t_s", "moved", "moved_before", "tone_s")  # of a book, kept as they are
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,8 +98,9 @@ class Book:
     which samples are entered for good. faded_s : up to which what is known has faded, of the process and of a tone.
     records : windows that said something. leans : what followed at the last look, -1 less action, 1 more, 0 nothing.
     moved : how far the moves of the setpoint tell the process, 0 to 1: the sum of their shares of the windows;
-    moved_before : without the window that still grows. levels : of each process on each of PLANES, how many STEP its
-    logarithm of the weight lies under the largest; whole : without the window that still grows; prior : before any.
+    moved_before : without the window that still grows. tone_s : period of the last window's tone, 0 before any.
+    levels : of each process on each of PLANES, how many STEP its logarithm of the weight lies under the largest;
+    whole : without the window that still grows; prior : before any.
     """
 
     direction: int
@@ -111,6 +112,7 @@ class Book:
     leans: int
     moved: float
     moved_before: float
+    tone_s: float
     levels: bytes
     whole: bytes
     prior: bytes
@@ -120,7 +122,7 @@ class Book:
         """The book before any record. gains : in force. dt_s : interval of the condensed samples."""
         unit = gain_unit(gains, dt_s)
         levels = _prior(*_possible(gains, dt_s, unit))
-        return cls(gains.direction, unit, dt_s, t_s, (t_s, t_s), 0, 0, 0.0, 0.0, levels, levels, levels)
+        return cls(gains.direction, unit, dt_s, t_s, (t_s, t_s), 0, 0, 0.0, 0.0, 0.0, levels, levels, levels)
 
     def under(self, gains: PidGains) -> "Book":
         """The book under these gains: a process that they make possible is no longer left out. Where they act more than
@@ -182,13 +184,13 @@ class Book:
         Raises KeyError, TypeError, ValueError: something is missing, of the wrong kind, or of another grid.
         """
         levels, whole, prior = (_unpacked(str(body[name])) for name in ("levels", "whole", "prior"))
-        process_s, tone_s = (float(at) for at in body["faded_s"])
-        unit, dt_s, t_s, moved, before = (float(body[name]) for name in NUMBERS)
-        shares = 0.0 <= moved <= 1.0 and 0.0 <= before <= 1.0
-        if not (0 < unit < math.inf and 0 < dt_s < math.inf and math.isfinite(t_s + process_s + tone_s) and shares):
+        faded_s = float(body["faded_s"][0]), float(body["faded_s"][1])
+        unit, dt_s, t_s, moved, before, tone_s = (float(body[name]) for name in NUMBERS)
+        shares = 0.0 <= moved <= 1.0 and 0.0 <= before <= 1.0 and 0.0 <= tone_s < math.inf
+        if not (0 < unit < math.inf and 0 < dt_s < math.inf and math.isfinite(t_s + sum(faded_s)) and shares):
             raise ValueError(f"a book of unit {unit}, interval {dt_s} s, time {t_s} s, moved by {moved}, {before}")
         sign, records, leans = 1 if int(body["direction"]) > 0 else -1, int(body["records"]), int(body["leans"])
-        return cls(sign, unit, dt_s, t_s, (process_s, tone_s), records, leans, moved, before, levels, whole, prior)
+        return cls(sign, unit, dt_s, t_s, faded_s, records, leans, moved, before, tone_s, levels, whole, prior)
 
 
 @lru_cache(maxsize=64)
@@ -225,17 +227,17 @@ def update(book: Book, window: Window, *, hazard_s: float = math.inf, grows: boo
     n = max(round(book.dt_s / window.sample_time_s), 1)
     if len(window.t_s) < n:
         return book
-    last_s, share = float(window.t_s[-1]), 0.0
+    last_s, share, tone_s = float(window.t_s[-1]), 0.0, book.tone_s
     record, known = Prepared.at(window, book.dt_s), faded(book, last_s, hazard_s)
     record = replace(record, resolution=max(record.resolution, MODEL_ERROR * float(np.ptp(record.pv))))
     levels, says = known.whole, len(record.pv) >= FEWEST_SAMPLES and np.ptp(record.pv) > 0 and np.ptp(record.co) > 0
     if says:
         logs, kept = _logs(levels)
         setpoint = block_means(window.sp, n)
-        setpoint, (columns, taken, prices) = setpoint - setpoint[0], tone_of(window, book.dt_s)
-        whole, orders = log_likelihoods(record, book.direction, book.unit, columns, taken, EVERY_LAG, kept)
-        alone, *toned = (one[kept] - price / TEMPER for one, price in zip(whole, prices, strict=True))
-        beside = np.logaddexp.reduce(toned) - math.log(len(toned))
+        setpoint, tone = setpoint - setpoint[0], tone_of(window, book.dt_s, known.tone_s)
+        whole, orders = log_likelihoods(record, book.direction, book.unit, tone.columns, tone.taken, EVERY_LAG, kept)
+        alone, *toned = (one[kept] - price / TEMPER for one, price in zip(whole, tone.prices, strict=True))
+        beside, tone_s = np.logaddexp.reduce(toned) - (0.0 if tone.goes_on else math.log(len(toned))), tone.period_s
         likeliest = np.argmax(np.maximum(alone + math.log(1.0 - TONE), beside + math.log(TONE)))
         share = _moved_by_setpoint(record, setpoint, int(np.flatnonzero(kept)[likeliest]))
         power, answers = TEMPER / temper(share), np.zeros(len(alone))
@@ -250,7 +252,7 @@ def update(book: Book, window: Window, *, hazard_s: float = math.inf, grows: boo
     moved = min(known.moved_before + share, 1.0)
     if grows:
         return replace(book, levels=levels, moved=moved)
-    entered = replace(known, t_s=last_s, records=book.records + bool(says))
+    entered = replace(known, t_s=last_s, records=book.records + bool(says), tone_s=tone_s)
     return replace(entered, levels=levels, whole=levels, moved=moved, moved_before=moved)
 
 

@@ -12,7 +12,9 @@ unstable at its frequency, G(jw) = -1/C(jw), explains any tone. Three kinds, lik
 
 The frequency is that of the error's line that is highest over those around it: a setpoint step, or a load that
 wanders, has the highest of all at the lowest frequencies. What was chosen by the record is paid for: the half of
-ln(n/2) for a column and for a phase (Schwarz 1978), and the logarithm of the number of lines for the frequency.
+ln(n/2) for a column and for a phase (Schwarz 1978), and the logarithm of the number of lines for the frequency. A tone
+is paid for once: where a window has the line that the one before had, its frequency and size are known. Otherwise each
+window would speak for a loop just unstable there, which explains the same swing in every window, and pays once.
 """
 
 import math
@@ -21,6 +23,7 @@ import numpy as np
 
 from retuner.adaptive.explanations.wandering_load import block_means
 from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.schedule.late_dataclass import dataclass
 
 FEWEST_PERIODS, FEWEST_SAMPLES = 1.5, 6
 """Fewest periods of a tone within a window, and samples to a period: others are how a load wanders, or noise."""
@@ -34,20 +37,33 @@ AROUND, LEAST = 4, 1e-9
 """Factor on both sides of a line's frequency within which it is compared; least share of the most that a line has."""
 
 
-Tone = tuple[FloatArray, tuple[int, ...], tuple[float, ...]]
+GOES_ON, BESIDE = 1.0, 2.0
+"""Price of each of the two numbers of a line that goes on, twice what one explains of noise (Akaike 1974); and lines
+that it may be."""
 
 
-def tone_of(window: Window, interval_s: float) -> Tone:
-    """likeliest_tone of a window that is condensed to this interval."""
-    n = max(round(interval_s / window.sample_time_s), 1)
-    return likeliest_tone(block_means(window.sp - window.pv, n))
-
-
-def likeliest_tone(error: FloatArray) -> Tone:
-    """The columns of a window's tone, shape (number, n); how many of them no tone, a line, a drifting one and, where
-    its harmonics stand out, one with these take; and the price of each, as a logarithm that is not tempered. error :
-    setpoint less pv, shape (n,).
+@dataclass(frozen=True, slots=True)
+class ToneColumns:
+    """columns : of a fit, shape (number, n). taken : how many of them no tone, a line, a drifting one and, where its
+    harmonics stand out, one with these take. prices : of each, as a logarithm that is not tempered. period_s : of the
+    line; 0 where there is none. goes_on : whether it is the line that was known.
     """
+
+    columns: FloatArray
+    taken: tuple[int, ...]
+    prices: tuple[float, ...]
+    period_s: float = 0.0
+    goes_on: bool = False
+
+
+def tone_of(window: Window, interval_s: float, known_s: float = 0.0) -> ToneColumns:
+    """likeliest_tone of a window that is condensed to this interval. known_s : period in s of the window before."""
+    n = max(round(interval_s / window.sample_time_s), 1)
+    return likeliest_tone(block_means(window.sp - window.pv, n), interval_s, known_s)
+
+
+def likeliest_tone(error: FloatArray, interval_s: float = 1.0, known_s: float = 0.0) -> ToneColumns:
+    """The tone of a window. error : setpoint less pv, shape (n,). known_s : period of the tone before; 0 for none."""
     n, away = len(error), error - np.mean(error)
     length = FINER << (n - 1).bit_length()
     first = math.ceil(FEWEST_PERIODS * length / n)
@@ -75,7 +91,10 @@ def likeliest_tone(error: FloatArray) -> Tone:
         > STANDS_OUT
     ]
     repeats = [wave(at * kept) for at in higher for wave in (np.cos, np.sin)]
-    column, chosen = 0.5 * math.log(n / 2.0), math.log(n / FEWEST_SAMPLES)
+    column, period_s = 0.5 * math.log(n / 2.0), length / top * interval_s
+    goes_on = known_s > 0.0 and abs(1.0 / period_s - 1.0 / known_s) * n * interval_s <= 1.0
+    chosen = math.log(BESIDE if goes_on else n / FEWEST_SAMPLES)
+    line_costs = 2.0 * (GOES_ON if goes_on else column) + chosen
     taken = (2 + len(besides), *((2 + len(besides) + len(repeats),) if repeats else ()))
-    prices = (0.0, 2.0 * column + chosen, *((number + phases) * column + chosen for number in taken))
-    return np.vstack([line, besides, *repeats]), (0, 2, *taken), prices
+    prices = (0.0, line_costs, *(line_costs + (number - 2 + phases) * column for number in taken))
+    return ToneColumns(np.vstack([line, besides, *repeats]), (0, 2, *taken), prices, period_s, goes_on)

@@ -25,7 +25,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from retuner.adaptive.explanations.jumping_load import delayed, shocks_that_pay
-from retuner.adaptive.explanations.tone import Tone
+from retuner.adaptive.explanations.tone import ToneColumns
 from retuner.adaptive.explanations.wandering_load import (
     SLOPE,
     T_SETPOINT,
@@ -72,7 +72,7 @@ FREE_DEAD_TIMES = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.5, 7.0, 9.0, 12.0)
 FINER = tuple((np.arange(-8, 9) / 8).tolist())
 """Dead times, and those beside the likeliest: half a sample that a grid lacks was taken for a valve, where the noise is
 small."""
-NO_TONE: Tone = np.zeros((0, 0)), (0,), (0.0,)
+NO_TONE = ToneColumns(np.zeros((0, 0)), (0,), (0.0,))
 Loads = Sequence[tuple[float, int]]
 LOADS: Loads = tuple((bandwidth, order) for order in (1, 2) for bandwidth in (0.05, 0.2, 0.8, math.inf))
 """Bandwidth and order of the loads that are tried."""
@@ -91,7 +91,7 @@ def positions(co: FloatArray, valves: Sequence[Valve]) -> tuple[list[int], Float
     return which, np.array([each[i] - each[i][0] for i in which])
 
 
-def log_odds_of_valve(records: Sequence[Prepared], direction: int, tone: Tone = NO_TONE) -> float:
+def log_odds_of_valve(records: Sequence[Prepared], direction: int, tone: ToneColumns = NO_TONE) -> float:
     """Tempered logarithm of the Bayes factor of a valve that sticks or has play; 0 where no valve moves.
 
     records : of one loop. direction : sign of the process gain. tone : that every load may hold.
@@ -117,7 +117,7 @@ class _Compared:
 
     record: Prepared
     direction: int
-    tone: Tone
+    tone: ToneColumns
     loads: Loads
     free: float
     odds: float
@@ -153,7 +153,7 @@ class _Compared:
         return told + float(np.logaddexp(0.0, (most - T_SETPOINT * told) / TEMPER)) - math.log(2.0)
 
 
-def _compared(record: Prepared, direction: int, tone: Tone) -> _Compared | None:
+def _compared(record: Prepared, direction: int, tone: ToneColumns) -> _Compared | None:
     """A record beside all valves; None where co or every valve stands still."""
     travel = float(np.ptp(record.co))
     moved = [positions(record.co, valves) for valves in KINDS] if travel > 0 else [([], record.co)]
@@ -177,7 +177,7 @@ def _compared(record: Prepared, direction: int, tone: Tone) -> _Compared | None:
         beside.append((rows[first[order[:JUMPED]]], found[order[:JUMPED]] + free))
     among = [len(which) for which, _ in moved]
     one = _Compared(record, direction, tone, loads, free, log_mean(np.array(said)), likeliest, among)
-    if one.odds <= 0.0 or len(tone[0]):
+    if one.odds <= 0.0 or len(tone.columns):
         return one
     # free jumps of a load explain what the slips of a valve do, so both sides have them
     one, said = replace(one, free=one.jumping(record.co, free), jumps=True), []
@@ -187,14 +187,14 @@ def _compared(record: Prepared, direction: int, tone: Tone) -> _Compared | None:
     return replace(one, odds=log_mean(np.array(said)))
 
 
-def _screened(record: Prepared, direction: int, tone: Tone, rows: FloatArray, loads: Loads) -> FloatArray:
+def _screened(record: Prepared, direction: int, tone: ToneColumns, rows: FloatArray, loads: Loads) -> FloatArray:
     """Tempered log-likelihood of rows behind one lag, the likeliest; shape (loads, rows)."""
     each = [_weighed(record, direction, tone, rows, lag, loads, FREE_DEAD_TIMES, first_only=True) for lag in FREE_LAGS]
     return np.asarray(np.max(each, axis=(0, 2, 4)))
 
 
 def _likeliest(
-    record: Prepared, direction: int, tone: Tone, rows: FloatArray, loads: Loads, lags: int = CLOSER_LAGS
+    record: Prepared, direction: int, tone: ToneColumns, rows: FloatArray, loads: Loads, lags: int = CLOSER_LAGS
 ) -> FloatArray:
     """Tempered log-likelihood of each row with its likeliest process and load.
 
@@ -212,15 +212,14 @@ def _likeliest(
 
 
 def _weighed(
-    record: Prepared, direction: int, tone: Tone, rows: FloatArray, lag: float, loads: Loads, dead: tuple[float, ...],
+    record: Prepared, direction: int, tone: ToneColumns, rows: FloatArray, lag: float, loads: Loads, dead: tuple[float, ...],
     *, first_only: bool = False,
 ) -> FloatArray:  # fmt: skip
     """Tempered log-likelihoods, shape (loads, second lags, rows, dead times); no gain of the wrong sign."""
-    columns, ends, prices = tone
-    fits = under_loads(record, rows, lag, loads, dead, first_only=first_only, tones=columns, ends=ends)
+    fits = under_loads(record, rows, lag, loads, dead, first_only=first_only, tones=tone.columns, ends=tone.taken)
     right = np.where(fits.gain * direction > 0, fits.gain, 0.0)
-    each = fits.tempered(right[..., None]).reshape(len(loads), len(ends), -1, len(rows), len(dead))
-    return np.asarray(WEIGHT * np.max(each - np.array(prices)[:, None, None, None] / TEMPER, axis=1))
+    each = fits.tempered(right[..., None]).reshape(len(loads), len(tone.taken), -1, len(rows), len(dead))
+    return np.asarray(WEIGHT * np.max(each - np.array(tone.prices)[:, None, None, None] / TEMPER, axis=1))
 
 
 def log_mean(values: FloatArray) -> float:

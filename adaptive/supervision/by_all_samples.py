@@ -262,9 +262,9 @@ def _likelier_by_steps(found: Findings, book: Book, *, less: bool) -> bool:
     if len(window.pv) < FEWEST_ROWS:
         return True
     left = (1.0 - estimate.explained) * float(np.var(record.window.pv)) * len(window.pv) / n
-    columns, taken, prices = tone_of(record.window, book.dt_s)
-    each, _ = log_likelihoods(window, book.direction, book.unit, columns, taken)
-    likelihood = each - np.array(prices)[:, None, None, None] / TEMPER
+    tone = tone_of(record.window, book.dt_s)
+    each, _ = log_likelihoods(window, book.direction, book.unit, tone.columns, tone.taken)
+    likelihood = each - np.array(tone.prices)[:, None, None, None] / TEMPER
     return lead_of_steps(left, len(estimate.load_times_s), n, window, likelihood) > 0.0
 
 

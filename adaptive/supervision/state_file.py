@@ -142,7 +142,7 @@ def _model_in(body: Mapping[str, Any]) -> ProcessModel:
     return ProcessModel(ProcessType(body["type"]), k, tau1, tau2, theta, zeta, inverse, tau3)
 
 
-VERSION = 13  # version of this layout; any other is refused
+VERSION = 14  # version of this layout; any other is refused
 STATES = (RegionState, RecogniserState, NoiseState, SetpointLed, LoopSample)
 LAYOUT = {kind.__name__: list(kind._fields) for kind in STATES}
 """What is kept by place: numbers that moved would be read as others. Another layout is refused; memories of before

@@ -44,7 +44,9 @@ def recorded(gains: PidGains, load: FloatArray, step_at: int = N + 1) -> Window:
 @pytest.mark.parametrize("period", [12.0, 47.3, 450.0])
 def test_the_tone_is_found_and_takes_the_error_with_it(period: float) -> None:
     error = 3.0 + np.sin(2.0 * math.pi * np.arange(N) / period + 1.0)
-    columns, taken, prices = likeliest_tone(error)
+    tone = likeliest_tone(error)
+    columns, taken, prices = tone.columns, tone.taken, tone.prices
+    assert tone.period_s == pytest.approx(period, rel=1.0 / N * period)
     basis = np.linalg.qr(np.column_stack([np.ones(N), columns[: taken[1]].T]))[0]
     assert np.std(error - basis @ (basis.T @ error)) < 0.1
     assert prices[0] == 0.0 < prices[1] < prices[2]
@@ -57,21 +59,21 @@ def test_the_tone_is_found_beside_a_setpoint_step_and_a_load_that_wanders(period
     at = np.arange(N)
     wanders = 0.05 * np.cumsum(np.random.default_rng(9).normal(size=N))
     error = np.sin(2.0 * math.pi * at / period + 1.0) + 6.0 * (at > 400) * np.exp(-(at - 400) / 100.0) + wanders
-    columns, *_ = likeliest_tone(error)
-    lines = np.abs(np.fft.rfft(columns[0]))[1:]
+    lines = np.abs(np.fft.rfft(likeliest_tone(error).columns[0]))[1:]
     assert (1 + int(np.argmax(lines))) / N == pytest.approx(1.0 / period, abs=1.0 / N)
 
 
 def test_one_of_which_the_window_holds_hardly_two_periods_has_a_size_that_changes_evenly() -> None:
     """A mean over two of its periods does not fit into the window; columns of another length broke the decision."""
     for n in range(540, 580):  # of some, the mean is as long as the window less a sample
-        columns, taken, _ = likeliest_tone(np.sin(4.0 * math.pi * np.arange(n) / 555.0))
-        assert columns.shape == (taken[2], n)
+        tone = likeliest_tone(np.sin(4.0 * math.pi * np.arange(n) / 555.0))
+        assert tone.columns.shape == (tone.taken[2], n)
 
 
 def test_the_phase_of_one_that_drifts_is_followed() -> None:
     error = cycle(60.0, 0.05)
-    columns, taken, _ = likeliest_tone(error)
+    tone = likeliest_tone(error)
+    columns, taken = tone.columns, tone.taken
     left = [
         float(np.std(error - q @ (q.T @ error)))
         for end in taken[1:]
@@ -146,6 +148,22 @@ def test_a_window_that_still_grows_ends_no_tone() -> None:
     assert replace(toned, whole=begun.whole).tone == toned.tone
 
 
+def test_a_tone_is_paid_for_once_and_so_not_lost_window_by_window() -> None:
+    """Two good loops under a tone had been cut, Ms 1.46 to 1.19 and J 1.2 to 5.6: each window paid for a tone anew, and
+    a loop just unstable there for none.
+    """
+    load = cycle(250.0, 0.03, 6 * N) + 0.1 * np.cumsum(np.random.default_rng(12).normal(size=6 * N))
+    whole, paid = recorded(GOOD, load), list[float]()
+    for before in (math.nan, 0.0):  # as it is, and where each tone would be a new one
+        book = Book.begun(GOOD, 1.0, 0.0)
+        for i in range(6):
+            book = replace(book, tone_s=before) if before == 0.0 else book
+            rows = slice(i * N, (i + 1) * N)
+            book = update(book, Window(whole.t_s[rows], whole.sp[rows], whole.pv[rows], whole.co[rows]))
+        paid.append(book.tone)
+    assert paid[0] > 0.8 > paid[1]
+
+
 def test_nor_does_what_was_thought_before_any_record_outlast_its_first_samples() -> None:
     """A loop with room had waited for a whole window before it got more action, though nothing had found a tone."""
     begun = Book.begun(GOOD, 1.0, 0.0)
@@ -205,7 +223,8 @@ def test_the_harmonics_of_a_tone_of_another_shape_are_columns_as_well(shape: str
     phase = np.arange(N) / 60.0 % 1.0
     wave = {"sine": np.sin(2 * np.pi * phase), "pulses": np.where(phase < 0.2, 1.0, 0.0), "saw": phase}[shape]
     error = wave + 0.02 * np.random.default_rng(4).normal(size=N)
-    found, taken, prices = likeliest_tone(error)
+    tone = likeliest_tone(error)
+    found, taken, prices = tone.columns, tone.taken, tone.prices
     assert len(found) == columns == taken[-1]
     assert list(prices) == sorted(prices)
     left = [
