@@ -248,8 +248,8 @@ def _split(
         low, high = table.regions.span(region)
         bounds.append(low)
         if region in wide:
-            row = places[region]
-            cuts = []
+            # The boundary that serves most places; a place on it counts on both sides by half
+            row, cuts = places[region], []
             for at in range(1, len(row) - 1):
                 parts = (best_of(row[: at + 1], limits), best_of(row[at:], limits))
                 below, above = (Best(part.gains, part.kept - _keeps(row[at], part.gains, limits) / 2) for part in parts)

@@ -50,6 +50,7 @@ def weighed(form: CurveForm, told: CurvesAgreement) -> Weighed:
     ranked = _ranked(form, told, most, len(most))
     best = max(ranked, key=ranked.__getitem__)
     level = ranked[(CurveShape.CONSTANT,) * len(most)]
+    # Round the likeliest shapes' coefficients, over all shapes with their weights
     centre = _solved(_kept(form, best), told)[0]
     total, weights = np.zeros_like(told.normal), 0.0
     for shapes, evidence in ranked.items():

@@ -203,7 +203,7 @@ class ResponseFinder:
             self._restart(sample)
             if not cut:
                 return None
-            self._broken += 1
+            self._broken += 1  # told after some in a row, and ever more seldom
             told = FIRST_TOLD
             while told < self._broken:
                 told *= THEN
