@@ -212,8 +212,8 @@ def _likeliest(
 
 
 def _weighed(
-    record: Prepared, direction: int, tone: ToneColumns, rows: FloatArray, lag: float, loads: Loads, dead: tuple[float, ...],
-    *, first_only: bool = False,
+    record: Prepared, direction: int, tone: ToneColumns, rows: FloatArray, lag: float, loads: Loads,
+    dead: tuple[float, ...], *, first_only: bool = False,
 ) -> FloatArray:  # fmt: skip
     """Tempered log-likelihoods, shape (loads, second lags, rows, dead times); no gain of the wrong sign."""
     fits = under_loads(record, rows, lag, loads, dead, first_only=first_only, tones=tone.columns, ends=tone.taken)
