@@ -5,8 +5,8 @@
 P_walk     process, valve and a load that wanders or jumps too, by their likelihoods over all records and windows of the
            loop (explanations/): aggressive, slow integrating, sluggish, ok, stiction, nonlinear (the gain changes along
            pv); where a valve is in question, external: a load that repeats
-P_steps    the verdict by one fit with its confidence (diagnosis/diagnose.py): a tone, and beside a setpoint that moves
-           the loop by itself; and external, by the odds of a tone beside which the loop is robust
+P_steps    the verdict by one fit with its confidence (diagnosis/diagnose.py): a tone, or the loop by itself; and
+           external, by the odds of a tone beside which the loop is robust
 w          the odds that the record is what the second says: its fit against the walk, with a valve or without. The loop
            by itself counts where a few load steps leave white noise: no load of a plant does
 
@@ -354,15 +354,16 @@ def _white(fit: Candidate, most_loads: int, settings: OddsSettings) -> bool:
 
 
 def _weight_of_steps(cause: Cause, found: RecordVerdict, walk: Walk, whole: float, settings: OddsSettings) -> float:
-    """Probability that a tone, or a few load steps beside a setpoint that moves, are all that is behind a record,
-    against all that `whole` counts. By loads alone, and where more is left than noise, the load wanders and jumps.
+    """Probability that a tone, or a few load steps, are all that is behind a record, against all that `whole` counts.
+    Where more is left than noise, and for a loop in order by loads alone, the load wanders and jumps.
     """
     tone = cause == Cause.EXTERNAL
     fit = found.fits.get("external" if tone else "linear")
     if fit is None:
         return settings.tone_alone * tone
     white = _white(fit, settings.few_loads, settings)
-    if not tone and (not white or walk.moved < settings.moved or cause == Cause.STICTION):
+    by_loads = walk.moved < settings.moved and cause == Cause.OK  # a slow process makes ramps of steps
+    if not tone and (not white or by_loads or cause == Cause.STICTION):
         return 0.0
     misfit, record = fit.fit.misfit, walk.record
     left = float(np.mean((misfit.record.pv - fit.fit.at.explained) ** 2))
@@ -487,7 +488,7 @@ def _settings(
     if next(iter(causes)) not in TUNING_CAUSES:
         return None, ""
     less, most = _less(causes), next(iter(causes.values()))
-    if moved < settings.moved and less < settings.loads_less and most < settings.loads_odds:
+    if moved < settings.moved and less < settings.less_odds and most < settings.loads_odds:
         return None, "the setpoint hardly moves, and loads alone do not show the tuning surely enough"
     more = causes.get(Cause.SLUGGISH, 0.0)
     found = worthwhile(odds, settings.worth)
