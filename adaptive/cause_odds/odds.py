@@ -421,6 +421,8 @@ def _verdict(
         worth, none = _settings(causes, odds, walk.moved, settings)
         if worth is not None and not _calmer(worth, odds) and overshoots:
             worth, none = None, "more action is no answer to setpoint responses that overshoot"
+        if told.diagnosis.cause == Cause.STICTION:  # by a fitted valve, or its shapes
+            worth, none = None, STICKS
     if by_fit and (told.tuning is not None or worth is None):
         return OddsFound(replace(told, diagnosis=replace(told.diagnosis, confidence=p, causes=shares)), odds)
     evidence = {name: value for name, value in told.diagnosis.evidence.items() if name not in OF_ONE_MODEL}
@@ -501,10 +503,11 @@ def _settings(
         return (found, "") if asked >= settings.less_odds else (None, UNSURE)
     bends = causes.get(Cause.NONLINEAR, 0.0) > settings.nonlinear  # then more is too much elsewhere
     if bends or causes.get(Cause.STICTION, 0.0) > settings.most_valve:  # behind a valve no process is seen
-        return None, "the process gain may change along pv" if bends else "the valve may stick, which hides the process"
+        return None, "the process gain may change along pv" if bends else STICKS
     return (found, "") if more >= settings.more_odds else (None, UNSURE)
 
 
+STICKS = "the valve may stick, which hides the process"
 UNSURE = "the cause is not sure enough for a change"
 UNKNOWN_GAINS = "the active settings are only known roughly"
 SWINGS_ALONE = "an oscillation lasts, no setpoint step was made, and a load that oscillates may be all of it"
