@@ -82,7 +82,11 @@ def _smallest(kind: TestKind, std: float, hold_s: float, decides: Sequence[float
     at = next((i for i, share in enumerate(decides) if share >= ENOUGH_TO_DECIDE), len(SIZES) - 1)
     if decides[at] < LEAST_TO_DECIDE:
         return None
-    return DecidingTest(kind, _rounded(SIZES[at] * std), hold_s, decides[at])
+    size, unit = SIZES[at] * std, 0.0
+    if size > 0:  # to two digits, upwards: people set such steps
+        unit = 10.0 ** (math.floor(math.log10(size)) - 1)
+        size = math.ceil(size / unit - 1e-9) * unit
+    return DecidingTest(kind, size if unit else 0.0, hold_s, decides[at])
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,11 +189,3 @@ def _reaches(energy: FloatArray, lead: FloatArray) -> FloatArray:
     """Probability that a tempered ratio with this mean comes out at DECIDED. energy : D."""
     far = (lead - DECIDED) / np.sqrt(np.maximum(energy, 1e-9) / T_SETPOINT)
     return np.array([0.5 * (1.0 + math.erf(float(one) / math.sqrt(2.0))) for one in far])
-
-
-def _rounded(size: float) -> float:
-    """The size to two digits, upwards: people set such steps."""
-    if not size > 0:
-        return 0.0
-    unit = 10.0 ** (math.floor(math.log10(size)) - 1)
-    return math.ceil(size / unit - 1e-9) * unit

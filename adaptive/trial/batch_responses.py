@@ -64,7 +64,10 @@ class ClosedLoop:
 
 def traces(loops: Sequence[ClosedLoop], upsets: Sequence[Upset]) -> list[list[Trace]]:
     """The response of every loop to every upset: [loop][upset]."""
-    loops = [replace(loop, process=_with_states(loop.process)) for loop in loops]
+    loops = list(loops)
+    for i, p in enumerate(loop.process for loop in loops):
+        if not (p.integrators or p.lags_s or p.quadratics):  # a pure dead time is one with a short lag
+            loops[i] = replace(loops[i], process=replace(p, lags_s=(LEAST_LAG * p.theta_s or 1.0,)))
     steps = [SPAN / (POINTS * crossover(loop)) for loop in loops]
     made = _Lanes(loops, steps, upsets)
     e, u = made.run()
@@ -87,13 +90,6 @@ def crossover(loop: ClosedLoop) -> float:
     gain = np.abs(p.response(w) * (g.kp + g.ki / s + g.kd * s / (1 + loop.tau_f_s * s)))
     over = np.flatnonzero(gain >= 1.0)
     return float(w[over[-1]] if over.size else w[0])
-
-
-def _with_states(process: LinearProcess) -> LinearProcess:
-    """A pure dead time as one with a short lag."""
-    if process.integrators or process.lags_s or process.quadratics:
-        return process
-    return replace(process, lags_s=(LEAST_LAG * process.theta_s or 1.0,))
 
 
 class _Lanes:
