@@ -192,9 +192,10 @@ def objection(found: Findings, own: Outcome, seen: AllSamples) -> Outcome | None
     as not, unless the change leads back: diagnose says the same of the same samples (cause_odds/). More action must do
     no harm by models and book together, which weigh the same: loads may be steps, or one may wander. Its cause is room,
     or, where a setpoint step is among the samples, that they bear this change itself. Where a loop whose
-    process was shown mostly rests, no load wanders, and the book must be sure. It must hold half a whole window, but
-    not where less action comes from a model that is not identifiable. A clear response whose fit is likelier than every
-    process of the book is of one between the points of its grid, or of what the process has become by now.
+    process was shown mostly rests, no load wanders, and the book must be sure. It must hold half a whole window, or
+    know the process by its setpoint, but not where less action comes from a model that is not identifiable. A clear
+    response whose fit is likelier than every process of the book is of one between the points of its grid, or of what
+    the process has become by now.
     """
     settings, book, told, proof = found.settings.book, seen.book, seen.told, own.proof
     record, look, shown = found.record, seen.look, seen.shown
@@ -206,7 +207,8 @@ def objection(found: Findings, own: Outcome, seen: AllSamples) -> Outcome | None
     if found.growth is not None and not away:
         return None
     half = look is not None and float(np.ptp(look.window.t_s)) >= LOOK * book.dt_s
-    tells = away or book.records or half or (less and look and found.in_use and not found.in_use.identifiable)
+    open_model = less and look and found.in_use and not found.in_use.identifiable
+    tells = away or book.records or half or book.told_by_setpoint or open_model
     more = told.numbers.book_room >= settings.more_odds or (not seen.by_loads and bears(drawn, now, new, settings))
     seen_so = seen.silent or (told.numbers.book_high >= HALF if less else more)
     worth, better = gain(drawn, now, new, settings)
