@@ -360,8 +360,9 @@ def _weight_of_steps(cause: Cause, found: RecordVerdict, walk: Walk, whole: floa
     tone = cause == Cause.EXTERNAL
     fit = found.fits.get("external" if tone else "linear")
     if fit is None:
-        return settings.tone_alone * tone
-    white = _white(fit, settings.few_loads, settings)
+        return settings.tone_alone if tone else HALF
+    # a level that swings slowly shows it between any loads
+    white = _white(fit, fit.fit.misfit.loads if cause == Cause.SLOW_INTEGRATING else settings.few_loads, settings)
     by_loads = walk.moved < settings.moved and cause == Cause.OK  # a slow process makes ramps of steps
     if not tone and (not white or by_loads or cause == Cause.STICTION):
         return 0.0
