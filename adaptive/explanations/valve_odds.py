@@ -78,7 +78,7 @@ LOADS: Loads = tuple((bandwidth, order) for order in (1, 2) for bandwidth in (0.
 """Bandwidth and order of the loads that are tried."""
 FREE_LAGS = (0.5, *LAGS)
 JUMPING: Loads = ((0.1, VALUE), (0.8, VALUE), (0.1, SLOPE))  # those that jump besides
-JUMPED = 4  # likeliest valves of each kind that are compared beside such a load, each at its likeliest lags
+JUMPED, SEARCHED = 4, 4  # likeliest valves of each kind that are compared beside such a load, and pairs of lags of each
 OCTAVES: Loads = tuple((bandwidth, order) for order in (1, 2) for bandwidth in (0.05, 0.1, 0.2, 0.4, 0.8, math.inf))
 """Those beside a valve, which takes the place of a lag or an octave that is missing."""
 
@@ -146,10 +146,11 @@ class _Compared:
         given = self.record, self.direction, self.tone, row[None]
         each = [_weighed(*given, lag, self.loads, FREE_DEAD_TIMES)[:, :, 0].max(axis=0) for lag in FREE_LAGS]
         pairs = [(k, through) for k, one in enumerate(each) for through in range(len(one))]
-        k, through = max(pairs, key=lambda at: float(each[at[0]][at[1]].max()))
-        dead = int(FREE_DEAD_TIMES[int(np.argmax(each[k][through]))])
-        late = delayed(responses(row, FREE_LAGS[k])[through], dead)
-        most = max(shocks_that_pay(self.record, FREE_LAGS[k], load, late)[1] for load in JUMPING)
+        most = -math.inf
+        for k, through in sorted(pairs, key=lambda at: -float(each[at[0]][at[1]].max()))[:SEARCHED]:
+            dead = int(FREE_DEAD_TIMES[int(np.argmax(each[k][through]))])
+            late = delayed(responses(row, FREE_LAGS[k])[through], dead)
+            most = max(most, *(shocks_that_pay(self.record, FREE_LAGS[k], load, late)[1] for load in JUMPING))
         return told + float(np.logaddexp(0.0, (most - T_SETPOINT * told) / TEMPER)) - math.log(2.0)
 
 
