@@ -78,7 +78,7 @@ LOADS: Loads = tuple((bandwidth, order) for order in (1, 2) for bandwidth in (0.
 """Bandwidth and order of the loads that are tried."""
 FREE_LAGS = (0.5, *LAGS)
 JUMPING: Loads = ((0.1, VALUE), (0.8, VALUE), (0.1, SLOPE))  # those that jump besides
-JUMPED, SEARCHED = 4, 4  # likeliest valves of each kind that are compared beside such a load, and pairs of lags of each
+JUMPED, SEARCHED = 2, 4  # likeliest valves of each kind that are compared beside such a load, and pairs of lags of each
 OCTAVES: Loads = tuple((bandwidth, order) for order in (1, 2) for bandwidth in (0.05, 0.1, 0.2, 0.4, 0.8, math.inf))
 """Those beside a valve, which takes the place of a lag or an octave that is missing."""
 
