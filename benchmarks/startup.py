@@ -29,7 +29,7 @@ LIMITS = {
     "retuner experiment relay --help": (1.4, NUMPY),  # its many options are told one by one
     IMPORTED: (2.3, NUMPY),  # two hundred dataclasses, whose methods are made when their first objects are
     LOOP: (3.0, NUMPY),  # within 0.5 s where numpy takes 0.11 s
-    IDENTIFY: (7.3, NUMPY),  # 6.3 to 6.6 since loads that jump are hypotheses beside processes and valves (5.4 before)
+    IDENTIFY: (9, NUMPY),  # 6.3 to 7.6, most of it how long numpy starts threads; 5.4 before loads that jump
 }
 ROUNDS = 9
 RUN = "import sys; sys.argv[1:] = {}; from retuner.__main__ import main; sys.exit(main())"
