@@ -16,7 +16,7 @@ import can
 import cantools
 import numpy as np
 import pytest
-from command_line import answer, refused
+from command_line import answer, refused, run
 from once import once
 from two_regions import two_regions
 
@@ -240,7 +240,10 @@ def test_a_ledger_that_fails_changes_nothing_more_and_ends_the_run_in_one_line(
         return row
 
     monkeypatch.setattr(Ledger, "append", append)
-    assert "database or disk is full" in refused("run", quick, "--no-compare")
+    done = run("run", quick, "--no-compare")
+    assert done.returncode == 2
+    assert "database or disk is full" in done.stderr
+    assert done.stderr.count("\n") == 1
     out = quick.parent / "out"
     if failing == "session":
         assert not out.exists()
