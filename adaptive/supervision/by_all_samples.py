@@ -193,9 +193,9 @@ def objection(found: Findings, own: Outcome, seen: AllSamples) -> Outcome | None
     no harm by models and book together, which weigh the same: loads may be steps, or one may wander. Its cause is room,
     or, where a setpoint step is among the samples, that they bear this change itself. Where a loop whose
     process was shown mostly rests, no load wanders, and the book must be sure. It must hold half a whole window, or
-    know the process by its setpoint, but not where less action comes from a model that is not identifiable. A clear
-    response whose fit is likelier than every process of the book is of one between the points of its grid, or of what
-    the process has become by now.
+    know the process by its setpoint, with the output between its limits, but not where less action comes from a model
+    that is not identifiable. A clear response whose fit is likelier than every process of the book is of one between
+    the points of its grid, or of what the process has become by now.
     """
     settings, book, told, proof = found.settings.book, seen.book, seen.told, own.proof
     record, look, shown = found.record, seen.look, seen.shown
@@ -208,7 +208,8 @@ def objection(found: Findings, own: Outcome, seen: AllSamples) -> Outcome | None
         return None
     half = look is not None and float(np.ptp(look.window.t_s)) >= LOOK * book.dt_s
     open_model = less and look and found.in_use and not found.in_use.identifiable
-    tells = away or book.records or half or book.told_by_setpoint or open_model
+    followed = book.told_by_setpoint and not (look and look.limited > MOST_LIMITED)
+    tells = away or book.records or half or followed or open_model
     more = told.numbers.book_room >= settings.more_odds or (not seen.by_loads and bears(drawn, now, new, settings))
     seen_so = seen.silent or (told.numbers.book_high >= HALF if less else more)
     worth, better = gain(drawn, now, new, settings)
