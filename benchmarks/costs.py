@@ -4,8 +4,8 @@
 
 CPU time of this process or of the command's; the shortest of interleaved rounds. Records and commands are counted in
 `python -c "import numpy"` of the same round, parts of the engine in the same part computed by numpy, an examination in
-samples of the device, a frame in python-can's own. Records are drawn from a seed of its own (benchmarks/cases), 1,000
-samples or so each. Prints each ratio beside the last one in costs.toml and exits 1 where one is worse by more than a
+samples of the device, a quiet sample in calls and files, a frame in python-can's own. Records are drawn from a seed of
+its own (benchmarks/cases), 1,000 samples or so each. Prints each ratio beside the last one in costs.toml and exits 1 where one is worse by more than a
 tenth; --note appends this run there with its reason. On a machine that does something else as well, ratios differ by a
 fifth from run to run: more rounds help.
 """
@@ -36,6 +36,7 @@ from retuner.adaptive.explanations.wandering_load import Prepared, log_likelihoo
 from retuner.adaptive.fit import engine
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.valve.plateaus import as_steps
+from retuner.config.loading import load_session
 from retuner.diagnosing import diagnose
 from retuner.drivers.bus.bus import CanLink, LinkSettings
 from retuner.drivers.clock import SimulatedClock
@@ -45,6 +46,7 @@ from retuner.drivers.conformance.examination import examine
 from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
 from retuner.drivers.protocol.codec import Codec
 from retuner.drivers.protocol.frames import GainBox
+from retuner.session.running import Run, nothing
 
 HISTORY = Path(__file__).with_suffix(".toml")
 WORSE = 1.1
@@ -52,6 +54,8 @@ SEED, RECORDS = 4040, 8
 HELP = ("", "run", "report", "approve", "replay", "experiment", "identify", "diagnose", "audit", "schedule")
 SETTLED_SAMPLES = 136
 """After so many no stamp of the lease is waited for."""
+QUIET_FROM, QUIET = 300, 100
+"""Samples of the oven before its first step, when its host has settled, and how many are looked at."""
 BURST, BURSTS = 64, 500
 """Frames between two looks at the bus, and how often."""
 
@@ -122,6 +126,24 @@ def on_line(base: float) -> Iterator[tuple[str, float]]:
     yield "a decision on line, worst", max(decided) / base
 
 
+def of_session(_: float) -> Iterator[tuple[str, float]]:
+    """Python functions that a quiet sample of a simulated run calls at its host, and the files that they stand in."""
+    turns: list[list[str]] = []
+    config, _text = load_session(HISTORY.parents[1] / "examples" / "oven.toml")
+    with Run(config, nothing).bench() as (session, bench):
+        for _turn in range(QUIET_FROM + QUIET):
+            bench.turn()
+            called: list[str] = []
+            sys.setprofile(
+                lambda frame, event, _, to=called: to.append(frame.f_code.co_filename) if event == "call" else None
+            )
+            session.poll(bench.clock.now_s())
+            sys.setprofile(None)
+            turns.append(called)
+    yield "a quiet sample, calls", statistics.median(len(called) for called in turns[QUIET_FROM:])
+    yield "a quiet sample, files", statistics.median(len(set(called)) for called in turns[QUIET_FROM:])
+
+
 def of_demo(base: float) -> Iterator[tuple[str, float]]:
     """What `make demo` runs, without its page server: the virtual oven retuned, with a report."""
     with tempfile.TemporaryDirectory() as folder:
@@ -178,8 +200,8 @@ def on_bus(_: float) -> Iterator[tuple[str, float]]:
 
 
 GROUPS = {
-    "records": on_records, "engine": of_engine, "commands": of_commands, "online": on_line, "demo": of_demo,
-    "plant": of_plant, "examination": of_examination, "bus": on_bus,
+    "records": on_records, "engine": of_engine, "commands": of_commands, "online": on_line, "session": of_session,
+    "demo": of_demo, "plant": of_plant, "examination": of_examination, "bus": on_bus,
 }  # fmt: skip
 
 

@@ -270,10 +270,6 @@ class Contact:
         self.heard_s = float("-inf")
         self.made = False  # whether there has ever been a connection
 
-    def polled(self, now_s: float) -> None:
-        """The host looks."""
-        self._first_poll_s = min(self._first_poll_s, now_s)
-
     def lost(self, now_s: float, link: LinkState) -> str:
         """Why the device is out of reach, or an empty string."""
         if link is LinkState.DOWN:
@@ -282,7 +278,8 @@ class Contact:
         return f"no frame for {age_s:.3g} s" if age_s > self._silent_s else ""
 
     def in_vain(self, now_s: float) -> bool:
-        """Whether the first connection takes too long."""
+        """Whether the first connection takes too long; asked at each poll until there is one."""
+        self._first_poll_s = min(self._first_poll_s, now_s)
         return not self.made and now_s - self._first_poll_s > self._connect_s
 
 

@@ -65,11 +65,19 @@ class SocketProbe:
                 self._socket.setsockopt(socket.SOL_SOCKET, SO_RCVBUFFORCE, QUEUE_BYTES)
             except OSError:
                 self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, QUEUE_BYTES)
-            self._counted = self._count()
+            self.drops()  # those of before do not count
 
     def drops(self) -> int:
-        """Frames that the kernel has dropped since the last call."""
-        before, self._counted = self._counted, self._count()
+        """Frames that the kernel has dropped since the last call; none where it does not count them."""
+        if self._socket is None:
+            return 0
+        try:
+            raw = self._socket.getsockopt(socket.SOL_SOCKET, SO_MEMINFO, 4 * (DROPS + 1))
+        except OSError:
+            return 0
+        if len(raw) < 4 * (DROPS + 1):
+            return 0
+        before, self._counted = self._counted, int(struct.unpack_from("=I", raw, 4 * DROPS)[0])
         return (self._counted - before) % WRAP
 
     def is_unbound(self) -> bool:
@@ -87,16 +95,6 @@ class SocketProbe:
         if self._socket is not None:
             self._socket.close()
             self._socket = None
-
-    def _count(self) -> int:
-        """The kernel's count of dropped frames; where there is none, what was counted so far."""
-        if self._socket is None:
-            return self._counted
-        try:
-            raw = self._socket.getsockopt(socket.SOL_SOCKET, SO_MEMINFO, 4 * (DROPS + 1))
-        except OSError:
-            return self._counted
-        return int(struct.unpack_from("=I", raw, 4 * DROPS)[0]) if len(raw) >= 4 * (DROPS + 1) else self._counted
 
 
 # ---- What can go wrong with a link: named, counted, told.
@@ -306,9 +304,10 @@ class CanLink(Closes):
         if self._log is not None:
             for message in messages:
                 self._write_log(message, received=True)
+        now_s = self._clock.now_s()
         if messages:
             self._heard = True
-            self._last_frame_s = self._clock.now_s()
+            self._last_frame_s = now_s
             if self._bus is not None:
                 self._pause_s = self.settings.reopen_first_s
         elif self._heard and not self._silence_is_normal and self.state is LinkState.SILENT:
@@ -318,7 +317,6 @@ class CanLink(Closes):
         if lost:
             self.counters.overflows += lost
             self.faults.note(LinkFault.OVERFLOW, lost)
-        now_s = self._clock.now_s()
         if now_s >= self._probe_s:
             self._probe_s = now_s + self.settings.reopen_first_s
             if self._probe.is_unbound():
@@ -329,7 +327,7 @@ class CanLink(Closes):
         """Other nodes' frames; this loop is the cost of a frame, so it looks nothing up twice."""
         messages: list[can.Message] = []
         garbage = 0
-        bus = self._opened()
+        bus = self._bus or self._opened()
         while bus is not None and len(messages) < limit:
             try:
                 message = bus.recv(timeout=0.0)

@@ -125,14 +125,9 @@ class CanDevice:
         self._events: list[Event] = []
 
     @property
-    def phase(self) -> ConnectPhase:
-        """How far the connection is."""
-        return self.machine.phase
-
-    @property
     def connected(self) -> bool:
         """Whether the device is heard and its running set is known."""
-        return self.phase is ConnectPhase.CONNECTED and self._belief.running is not None
+        return self.machine.phase is ConnectPhase.CONNECTED and self._belief.running is not None
 
     @property
     def running(self) -> RunningSet | None:
@@ -156,7 +151,6 @@ class CanDevice:
 
     def poll(self, now_s: float) -> list[Event]:
         """Take what has arrived, send what is due, tell what happened: see device.Device."""
-        self._contact.polled(now_s)
         for message in self.link.receive_all():
             frame = self._codec.decode(message)
             if isinstance(frame, Refused):
@@ -243,7 +237,7 @@ class CanDevice:
 
     def _on_telemetry(self, half: frames.TelemetryPv | frames.TelemetrySp, now_s: float) -> None:
         """Half a sample; a sequence number that is not the known one means that somebody else has written."""
-        if self.phase is not ConnectPhase.CONNECTED:
+        if self.machine.phase is not ConnectPhase.CONNECTED:
             return
         before = self._joiner.contradictions
         joined = self._joiner.take(half)
@@ -263,7 +257,7 @@ class CanDevice:
 
     def _on_identity(self, identity: frames.Identity, now_s: float) -> None:
         """Who is there: go on only with the right one, at the first connection and after every restart."""
-        if self.phase is not ConnectPhase.SEARCHING and not self._belief.unidentified:
+        if self.machine.phase is not ConnectPhase.SEARCHING and not self._belief.unidentified:
             return
         wrong = mismatch(identity, self.settings.sample_time_s)
         if wrong and not self._contact.made:
@@ -289,7 +283,7 @@ class CanDevice:
             self.write.on_restart()
             self.lease.forget()  # as the device has
             self._events.append(DeviceRestarted(self._belief.epoch or 0, running, gap))
-        before = self.phase
+        before = self.machine.phase
         if self.machine.take(ConnectInput.RUNNING_READ) and before is ConnectPhase.READING:
             self._contact.made = True
             self._events.append(LinkChanged(LinkState.UP, "controller found, active gains read back"))
@@ -308,13 +302,13 @@ class CanDevice:
     def _notice_silence(self, now_s: float) -> None:
         """Forget everything when nothing was heard for too long, or there is no bus."""
         reason = self._contact.lost(now_s, self.link.state)
-        if self.phase is ConnectPhase.SEARCHING or not reason:
+        if self.machine.phase is ConnectPhase.SEARCHING or not reason:
             if self._contact.in_vain(now_s):
                 silent = f"no answer within {self.settings.connect_s:g} s; "
                 silent += "is the device running there, under this node number?"
                 raise DeviceSilentError(f"{self._where}: {TWO_DEVICES if self._belief.in_conflict else silent}")
             return
-        if self.phase is ConnectPhase.CONNECTED:
+        if self.machine.phase is ConnectPhase.CONNECTED:
             state = LinkState.DOWN if self.link.state is LinkState.DOWN else LinkState.SILENT
             self._events.append(LinkChanged(state, reason))
         self._lose()
@@ -332,11 +326,14 @@ class CanDevice:
 
     def _ask(self, now_s: float) -> None:
         """Ask who is there, or what runs, as long as it is not known."""
+        phase, belief = self.machine.phase, self._belief
+        if phase is ConnectPhase.CONNECTED and not belief.doubtful:
+            self._ask_s = now_s
+            return
         reads = self._reads
-        unread = self.phase is ConnectPhase.READING or self._belief.doubtful
-        if self.phase is ConnectPhase.SEARCHING:
+        if phase is ConnectPhase.SEARCHING:
             page = frames.Page.IDENTITY
-        elif self._belief.unidentified or (unread and not reads):
+        elif belief.unidentified or not reads:
             page = frames.Page.RUNNING
         else:
             self._ask_s = now_s
@@ -352,19 +349,21 @@ class CanDevice:
         """What the lease, the write and the commands want to send now."""
         epoch, sample = self._belief.epoch, self._joiner.device_sample
         stamp = None
-        if self.phase is ConnectPhase.CONNECTED and epoch is not None and sample is not None:
+        if self.machine.phase is ConnectPhase.CONNECTED and epoch is not None and sample is not None:
             stamp = lease_stamp(epoch, sample)
         due: list[frames.Frame] = [*self.lease.due(now_s, stamp)]
-        if self.write.needs_number and self.write.base is not None and self.lease.held:
-            self.write.renumber(self.sequence.after(self.write.base, use=True))
-        due += self.write.due(now_s, owned=self.lease.held, asked=self.lease.asked)
-        unknown = self.write.unknown()
+        if self.write.busy:
+            if self.write.needs_number and self.write.base is not None and self.lease.held:
+                self.write.renumber(self.sequence.after(self.write.base, use=True))
+            due += self.write.due(now_s, owned=self.lease.held, asked=self.lease.asked)
+            unknown = self.write.unknown()
+            self._events += [unknown] if unknown is not None else []
+            self._joiner.ordered = self.write.seq
         commands, failed = self.commands.due(now_s)
-        if any(failure.command == "confirm" for failure in failed):
-            self.probation.again()
-        self._events += [*([unknown] if unknown is not None else []), *failed]
-        if self.write_seq is not None:
-            self._joiner.ordered = self.write_seq
+        for failure in failed:
+            if failure.command == "confirm":
+                self.probation.again()
+        self._events += failed
         for frame in [*due, *commands]:
             self._send(frame)
 
@@ -433,7 +432,7 @@ class CanDevice:
         A host that does not poll does not see how far the device has counted; it has gone on by its sample time.
         """
         epoch, sample = self._belief.epoch, self._joiner.device_sample
-        if self.phase is not ConnectPhase.CONNECTED or epoch is None or sample is None:
+        if self.machine.phase is not ConnectPhase.CONNECTED or epoch is None or sample is None:
             return
         unseen = int((now_s - self._sample_s) / self.settings.sample_time_s) if self._sample_s > float("-inf") else 0
         stamp = lease_stamp(epoch, sample + max(unseen - SLOWER_SAMPLES, 0))

@@ -182,7 +182,7 @@ class WriteProtocol:
     @property
     def busy(self) -> bool:
         """Whether a write is under way."""
-        return self.phase is not WritePhase.IDLE
+        return self.machine.phase is not WritePhase.IDLE
 
     def begin(self, order: WriteOrder) -> None:
         """Start a write; only when not busy."""

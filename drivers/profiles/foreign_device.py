@@ -200,7 +200,6 @@ class ForeignDevice:
 
     def poll(self, now_s: float) -> list[Event]:
         """Take what has arrived, send what is due, tell what happened: see device.Device."""
-        self._contact.polled(now_s)
         self._now_s = now_s
         for _ in range(ANSWERS_A_POLL):
             for message in self.link.receive_all():

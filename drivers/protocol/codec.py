@@ -112,6 +112,7 @@ class BitLayout:
             code += "x" * (piece.start - at) + letter
             at = piece.start + piece.length
         self._struct = struct.Struct("<" + (code + "x" * (layout.length - at)))
+        self.length = self._struct.size
         self._plain = tuple((i, place[p.signals[0].name]) for i, p in enumerate(pieces) if not p.is_group)
         groups = [(i, p) for i, p in enumerate(pieces) if p.is_group and not p.is_alone]
         self._wide = tuple((i, p.length) for i, p in groups if 8 * p.length not in CODES)
@@ -169,9 +170,9 @@ class BitLayout:
 
 
 def _picker(places: list[int]) -> Callable[[Sequence[float]], Sequence[float]]:
-    """A function that gives the values at these places; itself when they are all in their order."""
+    """A function that gives the values at these places; all of them when they are in their order."""
     if places == list(range(len(places))):
-        return lambda values: values
+        return tuple
     pick: Callable[[Sequence[float]], Any] = itemgetter(*places)
     return pick if len(places) > 1 else lambda values: (pick(values),)
 
@@ -436,7 +437,7 @@ class Codec:
             return Refused(Refusal.UNKNOWN if id_ >> COMMAND_BITS == self.node else Refusal.FOREIGN)
         if message.is_extended_id or message.is_remote_frame or message.is_error_frame or message.is_fd:
             return Refused(Refusal.NOT_DATA)
-        if len(data) != plan.layout.length:
+        if len(data) != plan.bits.length:
             return Refused(Refusal.LENGTH)
         if plan.checked and data[-1] != frame_crc(id_, data[:-1]):
             return Refused(Refusal.CHECKSUM)

@@ -49,7 +49,7 @@ class SampleJoiner:
         self.tap = SignalTap(inputs.signals)
         self._offset = 0
         self._counter = DeviceCounter()
-        self._reference: int | None = None
+        self.device_sample: int | None = None  # where the device's own counter stands; None while unknown
         self._after: int | None = None  # number of a sample of an earlier session that all of this one come behind
         self._last: int | None = None
         self._first = 0  # the oldest sample that may be the first one
@@ -78,8 +78,8 @@ class SampleJoiner:
         after, self._after = self._after, None
         if after is not None and sample <= after:
             self._offset = after + 1 - sample
-        if self._reference is None or sample > self._reference:
-            self._reference = sample
+        if self.device_sample is None or sample > self.device_sample:
+            self.device_sample = sample
         if self._last is None:
             self._first = sample
         return said
@@ -87,7 +87,7 @@ class SampleJoiner:
     def forget(self) -> None:
         """Contact was lost: the counter may have wrapped any number of times; the next reference tells."""
         self.arrivals.note(Arrival.TIMEOUT)
-        self._reference = None
+        self.device_sample = None
         self._counter.forget()
         self._halves.clear()
 
@@ -97,16 +97,11 @@ class SampleJoiner:
         if last is not None:
             self._offset += last + max(gap, 1) - sample
             self._last = sample - 1
-        self._reference = sample
+        self.device_sample = sample
         self._counter.begin(sample)
         self._halves.clear()
         self._said.clear()
         self._again.clear()
-
-    @property
-    def device_sample(self) -> int | None:
-        """Where the device's own sample counter stands; None while unknown."""
-        return self._reference
 
     def restart_after(self, sample: int, silence_s: float) -> int:
         """The device counts anew from sample, silence_s after the last one; the number of samples between."""
@@ -117,10 +112,10 @@ class SampleJoiner:
 
     def take(self, half: TelemetryPv | TelemetrySp) -> AssembledSample | None:
         """Note half a sample; the sample once both halves are here."""
-        if self._reference is None:
+        if self.device_sample is None:
             return None
-        ahead = (half.counter - self._reference) % WRAP
-        number = self._reference + (ahead if ahead < HALF else ahead - WRAP)
+        ahead = (half.counter - self.device_sample) % WRAP
+        number = self.device_sample + (ahead if ahead < HALF else ahead - WRAP)
         if self._last is not None and number <= self._last:
             if isinstance(half, TelemetrySp):
                 self.arrivals.ahead(number - self._last)
@@ -133,7 +128,7 @@ class SampleJoiner:
             self.arrivals.note(Arrival.WRONG_SEQUENCE)
             self._beyond += 1
             if self._beyond >= HALF:
-                self._reference = None
+                self.device_sample = None
             return None
         self._taken += 1
         since, other = self._halves.get(number, (self._taken, None))
@@ -171,7 +166,7 @@ class SampleJoiner:
             return None
         lost = 0 if self._last is None else number - self._last - 1
         self.arrivals.ahead(lost + 1)
-        self._last = self._reference = number
+        self._last = self.device_sample = number
         self._said[number] = sp.crc
         if len(self._said) > KEPT:
             del self._said[next(iter(self._said))]

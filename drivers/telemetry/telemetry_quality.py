@@ -99,8 +99,10 @@ class ArrivalCheck:
             self._wrong -= oldest in WRONG
         if self._wrong > MAX_WRONG:
             self._move(TelemetryVerdict.WRONG)
-        else:
-            self._move(TelemetryVerdict.ENOUGH if self._good >= MIN_OK else TelemetryVerdict.FEW)
+        elif self._good < MIN_OK:
+            self._move(TelemetryVerdict.FEW)
+        elif self.state is not Stream.VALID:
+            self._move(TelemetryVerdict.ENOUGH)
 
     def _move(self, verdict: TelemetryVerdict) -> None:
         self.state = TRANSITIONS.get((self.state, verdict), self.state)

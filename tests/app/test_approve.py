@@ -14,9 +14,10 @@ from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Mode
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.cli import main
-from retuner.commands import run as run_command
 from retuner.commands.approve import only_place
 from retuner.config import load_config
+from retuner.live_view import watching_session
+from retuner.live_view.watching_session import Watching
 from retuner.session.loop_session import LoopSession
 from retuner.session.running import Run
 
@@ -72,12 +73,12 @@ def with_person(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
     def run(orders: list[tuple[str, Any]], *arguments: str) -> tuple[Path, Person]:
         person = Person(tmp_path / "run", orders)
 
-        class Watched(Run):
+        class Watched(Watching):
             def sampled(self, loop: LoopSession, sample: LoopSample) -> None:
                 super().sampled(loop, sample)
                 person.watch(loop, sample)
 
-        monkeypatch.setattr(run_command, "Run", Watched)
+        monkeypatch.setattr(watching_session, "Watching", Watched)
         run_short(tmp_path, *arguments)
         monkeypatch.undo()
         return person.folder, person

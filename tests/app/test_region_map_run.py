@@ -198,7 +198,7 @@ def test_the_log_of_the_bus_tells_the_same_samples(tmp_path: Path, suffix: str) 
     log = tmp_path / f"bus{suffix}"
     seen: list[LoopSample] = []
     with bench(config(), f"map-log{suffix}", log=log) as b:
-        b.session._on_sample = seen.append
+        b.session._on_sample = lambda _loop, sample: seen.append(sample)
         for _ in range(300):
             b.turn()
     heard = Overhearing(1, 2.0, schedule_inputs(b.config))

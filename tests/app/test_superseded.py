@@ -10,11 +10,11 @@ from command_line import answer, printed
 
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.cli import main
-from retuner.commands import run as run_command
 from retuner.commands.approve import only_place
+from retuner.live_view import watching_session
+from retuner.live_view.watching_session import Watching
 from retuner.session.loop_session import LoopSession
 from retuner.session.orders import Order, OrderKind, put_order
-from retuner.session.running import Run
 
 sys.path.append(str(Path(__file__).parent))
 
@@ -80,7 +80,7 @@ def test_the_next_session_refuses_it_as_well(copy: Path, tmp_path: Path) -> None
 @pytest.mark.slow
 @pytest.mark.uncounted
 def test_the_running_session_refuses_it_as_well(tmp_path, monkeypatch):
-    class Late(Run):
+    class Late(Watching):
         """Somebody had looked before the second proposal, and orders after it."""
 
         def sampled(self, loop: LoopSession, sample: LoopSample) -> None:
@@ -88,7 +88,7 @@ def test_the_running_session_refuses_it_as_well(tmp_path, monkeypatch):
             if len(loop.decisions) == 2 and not (tmp_path / "run" / "orders").exists():
                 put_order(tmp_path / "run", order_of(loop.decisions[0].digest()))
 
-    monkeypatch.setattr(run_command, "Run", Late)
+    monkeypatch.setattr(watching_session, "Watching", Late)
     folder = run_short(tmp_path)
     (order,) = bodies(folder, "order")
     assert order["accepted"] is False

@@ -48,7 +48,7 @@ class Rows:
     def append(self, row: tuple[float, ...]) -> None:
         """Add a row."""
         self._values.extend(row)
-        if len(self) >= self._most:
+        if len(self._values) >= self._most * self._width:
             # Drop every second row of the older half
             table = self.table()
             half = len(table) // 2

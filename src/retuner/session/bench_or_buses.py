@@ -71,8 +71,7 @@ class HostBuses:
 
     def news(self) -> list[tuple[int, list[FaultNews]]]:
         """What the links have to tell, for each loop on them."""
-        told = [(bus, bus.link.news()) for bus in self.buses]
-        return [(loop, news) for bus, news in told if news for loop in bus.loops]
+        return [(loop, news) for bus in self.buses if (news := bus.link.news()) for loop in bus.loops]
 
 
 def _share(link: CanLink, config: SessionConfig, loops: tuple[int, ...]) -> HostBus | ReadBus:

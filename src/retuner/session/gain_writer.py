@@ -20,7 +20,7 @@ from retuner.drivers.state_machine import StateMachine
 from retuner.ledger import Recorder
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
-from retuner.schedule.table import Lookup
+from retuner.schedule.table import GainTable, Lookup
 
 INTERPOLATION_STEP = 1.02
 """An interpolated schedule is written when a gain has moved by this factor: a write costs about ten frames."""
@@ -93,7 +93,7 @@ WRITING: dict[tuple[WriterPhase, WriterInput], WriterPhase] = {
 }
 """A decision that asks while another one waits or is written has no row here: it is dropped, and told."""
 
-OPEN = frozenset({P.FOLLOWING, P.FOLLOWING_ASKED, P.CHANGING, P.RESTORING})
+OPEN = (P.FOLLOWING, P.FOLLOWING_ASKED, P.CHANGING, P.RESTORING)
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,6 +129,7 @@ class GainWriter:
         self._retry_at_s = self._hold_until_s = 0.0
         self._restore_at_s = float("-inf")
         self._refusals = 0  # of the verified set, in a row
+        self._in_order: tuple[int, PidGains, GainTable] | None = None  # what runs where the schedule asked for no other
         self._newest: Why | None = None  # of the writes that came about
         self._holding = ""
 
@@ -146,7 +147,7 @@ class GainWriter:
     @property
     def restoring(self) -> bool:
         """Whether a verified set is not known to run again."""
-        return bool(self.retuner.trials.restoring)
+        return self.retuner.trials.busy and bool(self.retuner.trials.restoring)
 
     def queue(self, decision: Decision) -> None:
         """A decision wants its gains to run. A change waits until `begin_due_write` has it written, unless another one
@@ -196,13 +197,13 @@ class GainWriter:
             self._drop("the controller acts in the other direction")
             return
         # A write of which nobody knows the end, because the session died in it: what runs tells
-        region, trials = self.retuner.region, self.retuner.trials
-        for at in trials.undecided + trials.restoring:
+        trials = self.retuner.trials
+        for at in trials.undecided + trials.restoring if trials.busy else ():
             trial = trials.of(at)
             if trial.ran or trial.new is None or self.machine.phase is not WriterPhase.IDLE:
                 continue
             meant = WantedSet(Why.RETUNE, at, trial.new, None, trial.new)
-            if at == region and change_factor(self._here(meant).gains, running.gains) <= SAME_GAINS:
+            if at == self.retuner.region and change_factor(self._here(meant).gains, running.gains) <= SAME_GAINS:
                 self._came_about(meant, running.seq, running)
             elif trial.phase is TrialPhase.WRITING:
                 reason = "the session ended in the middle of it, and it does not run"
@@ -362,11 +363,15 @@ class GainWriter:
                 self._for_later(self._pending)
             else:
                 self._drop(f"too soon after: {self._holding}" if held else "the loop has left the region")
-        if self.t_s < self._retry_at_s:
+        here = (region, running, self.retuner.table)
+        if self.t_s < self._retry_at_s or here == self._in_order:
             return None
         gains = self._in_table()
-        far = gains is not None and change_factor(running, gains) > self._tolerance
-        return WantedSet(Why.SCHEDULE, region, gains) if gains is not None and far else None
+        if gains is not None and change_factor(running, gains) > self._tolerance:
+            return WantedSet(Why.SCHEDULE, region, gains)
+        if self.retuner.table.lookup is Lookup.HARD:  # else the mean moves with the scheduling values
+            self._in_order = here
+        return None
 
     def _here(self, wanted: WantedSet) -> WantedSet:
         """What a decision means here and now: in an interpolated table the region's new set is a part of a mean."""

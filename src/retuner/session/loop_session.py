@@ -17,6 +17,7 @@ from retuner.adaptive.setpoint_bumps.loop_bumps import LoopBumps
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.supervision.decision import Action, Decision, gains_dict
 from retuner.adaptive.supervision.findings import WRONG_WAY
+from retuner.adaptive.supervision.question import Question
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.phase import TrialEvent
 from retuner.decisions.decider import LATE, LOST, DecideHere, Decider
@@ -101,7 +102,7 @@ class LoopSession:
         retuner: Retuner,
         scenario: ScenarioPlayer,
         record: Recorder,
-        on_sample: Callable[[LoopSample], None] | None = None,
+        on_sample: Callable[["LoopSession", LoopSample], None] = lambda _loop, _sample: None,
         decider: Decider | None = None,
     ) -> None:
         self.device = device
@@ -119,6 +120,7 @@ class LoopSession:
         self.orders: Callable[[float], Iterable[Decision]] = lambda _t_s: ()  # decisions on what people ordered by now
         self.samples = 0  # seen so far: the place of a row in the order of events, for replay
         self._events: deque[Event] = deque()  # told by the device, and not dealt with yet
+        self._acted: RunningSet | None = None  # the newest set whose direction is known
         self._sampled_s = math.inf  # when the newest sample came, by the clock of poll
         self._ends_at_s = math.inf  # when the waiting time is over, once the end has begun
         self.machine = StateMachine(COURSE, SessionPhase.WATCHING)
@@ -149,11 +151,6 @@ class LoopSession:
     def seen(self) -> bool:
         """Whether a sample has come."""
         return self.samples > 0
-
-    @property
-    def ending(self) -> bool:
-        """Whether the end has begun, and something may still be open."""
-        return self.machine.phase in TO_END
 
     def freeze(self, reason: str) -> None:
         """Begin no write any more: what cannot be recorded must not be done, but the way back to the verified set.
@@ -196,12 +193,18 @@ class LoopSession:
                 self._sample(event, now_s)
             else:
                 self._event(event, now_s)
-        self._watch_action(self.device.running)
+        running = self.device.running
+        if running is not None and running is not self._acted:
+            self._watch_action(running)
         if now_s - self._sampled_s > UNSEEN_SAMPLES * self.retuner.settings.sample_time_s:
             self._abort(TrialEvent.LOST_TELEMETRY)
-        self._end(now_s)
+        if self.machine.phase is SessionPhase.WATCHING and self.scenario.finished:
+            self.machine.take(SessionInput.PLAYED)
+        if self.machine.phase is not SessionPhase.WATCHING:
+            self._end(now_s)
         self.writer.begin_due_write(now_s)
-        self._close(now_s)
+        if self.machine.phase in TO_END:
+            self._close(now_s)
         return samples
 
     def link_faults(self, news: Iterable[FaultNews]) -> None:
@@ -223,13 +226,14 @@ class LoopSession:
             if step.load is not None:
                 self.device.send_load(step.load, now_s)
         decision = self._observe(sample)
-        if self.retuner.region is not None and self.device.running is not None:
-            self.trend.add(sample, self.retuner.region, self.device.running.gains)
-        if self._on_sample is not None:
-            self._on_sample(sample)
+        region, running = self.retuner.region, self.device.running
+        if region is not None and running is not None:
+            self.trend.add(sample, region, running.gains)
+        self._on_sample(self, sample)
         if decision is not None:
             self._decided(decision)
-        self._enter_answer()
+        if self.retuner.open_question is not None:
+            self._enter_answer(self.retuner.open_question)
         if self.writer.free:
             for ordered in self.orders(sample.t_s):
                 self._decided(ordered)
@@ -273,11 +277,10 @@ class LoopSession:
         self._to_ledger("question", step.question.t_s, {"asked": step.question.sample_number, "region": region})
         return step.decision
 
-    def _enter_answer(self) -> None:
+    def _enter_answer(self, question: Question) -> None:
         """Enter the answer to the open question, if it has come: recorded first, for a replay enters it here too."""
-        question = self.retuner.open_question
-        answer = self.decider.answer(self.retuner.sample_number) if question is not None else None
-        if question is None or answer is None:
+        answer = self.decider.answer(self.retuner.sample_number)
+        if answer is None:
             return
         body = {"asked": question.sample_number, "code": answer.result.code, "reason": answer.trouble}
         self._to_ledger("answer", self.writer.t_s, body)
@@ -327,13 +330,14 @@ class LoopSession:
                         self._decided(decision)
                 self._abort(abort_cause(event))
 
-    def _watch_action(self, running: RunningSet | None) -> None:
+    def _watch_action(self, running: RunningSet) -> None:
         """Whether what runs acts in the commissioned direction: a turned one puts the loop on hold, and is told once.
 
         Whatever turned it: an edit, a switch of the action, a restart, or gains that were there before the session.
         """
-        decision = None if running is None else acts(self.retuner, running.gains)
-        if decision is None or running is None:
+        decision = acts(self.retuner, running.gains)
+        self._acted = running if self.retuner.region is not None else None
+        if decision is None:
             return
         body = {"turned": self.retuner.turned, "gains": gains_dict(running.gains), "reason": decision.reason}
         self._to_ledger("action", self.writer.t_s, body)
@@ -349,10 +353,6 @@ class LoopSession:
             self._decided(decision)
 
     def _end(self, now_s: float) -> None:
-        if self.machine.phase is SessionPhase.WATCHING and self.scenario.finished:
-            self.machine.take(SessionInput.PLAYED)
-        if self.machine.phase is SessionPhase.WATCHING:
-            return
         self.writer.frozen = True
         self._ends_at_s = min(self._ends_at_s, now_s + END_PATIENCE_SAMPLES * self.retuner.settings.sample_time_s)
         home = self.bumps.planner.end(self.writer.t_s) if self.bumps is not None else None
@@ -362,8 +362,6 @@ class LoopSession:
 
     def _close(self, now_s: float) -> None:
         """The end is reached when nothing is open; or the waiting time is over, and what is left open is said."""
-        if not self.ending:
-            return
         nothing_open, turned = not self.writer.open and not self._bumped, self.retuner.turned
         if nothing_open and not turned and not self.writer.restoring:
             self.machine.take(SessionInput.CLOSED)

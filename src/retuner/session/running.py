@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from retuner.adaptive.setpoint_bumps.bump_settings import BumpSettings
 from retuner.adaptive.setpoint_bumps.loop_bumps import LoopBumps, hour_of_samples
-from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Mode
 from retuner.config import Config
 from retuner.config.session_config import SessionConfig
@@ -125,7 +124,7 @@ class _RunningLoop:
         device = make_device(self.config, port, speed, after_s=remembered.last_s if remembered is not None else None)
         retuner = remembered.retuner if remembered is not None else make_retuner(self.config, self._run.mode)
         player = ScenarioPlayer(self.config.scenario)
-        session = LoopSession(device, retuner, player, self.record, self._sampled, decider)
+        session = LoopSession(device, retuner, player, self.record, self._run.observer.sampled, decider)
         self.session = self.record.loop = session
         prove_order(self.config, device, retuner, self.record, lambda: session.writer.t_s)
         hour_of = local_hour if remember and speed == 1.0 else hour_of_samples
@@ -183,10 +182,6 @@ class _RunningLoop:
     def _say(self, text: str) -> None:
         self._run.observer.said(f"{self._name}: {text}" if self._name else text)
 
-    def _sampled(self, sample: LoopSample) -> None:
-        if self.session is not None:
-            self._run.sampled(self.session, sample)
-
 
 def with_what_was_left(
     bumps: LoopBumps, rows_before: Callable[[], Sequence[Row]], say: Callable[[str], None]
@@ -239,10 +234,6 @@ class Run:
         self.ended_by = ""
         earlier = _before(before, self.config)
         self._loops = [_RunningLoop(one, self, folder, earlier) for one in self.config.loops]
-
-    def sampled(self, loop: LoopSession, sample: LoopSample) -> None:
-        """Pass a sample on to whoever looks on."""
-        self.observer.sampled(loop, sample)
 
     def ledger_failed(self, reason: str) -> None:
         """The ledger takes no more rows: every loop comes to its end."""

@@ -132,7 +132,7 @@ class Session:
             quiet = heard is not None and i not in heard
             if quiet and now_s - self._polled_s[i] < loop.retuner.settings.sample_time_s:
                 continue
-            if loop.name in self.absent or (loop.finished and len(self.loops) > 1):
+            if len(self.loops) > 1 and (loop.name in self.absent or loop.finished):
                 continue
             self._polled_s[i] = now_s
             try:
@@ -144,7 +144,7 @@ class Session:
                 self.absent[loop.name] = str(error)
                 loop.tell_absent(str(error))
                 self._say(f"{loop.name}: {error}; the other loops go on without it")
-            if loop.finished and len(self.loops) > 1:
+            if len(self.loops) > 1 and loop.finished:
                 loop.device.release(now_s)
         return samples
 
