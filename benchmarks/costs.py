@@ -5,9 +5,9 @@
 CPU time of this process or of the command's; the shortest of interleaved rounds. Records and commands are counted in
 `python -c "import numpy"` of the same round, parts of the engine in the same part computed by numpy, an examination in
 samples of the device, a quiet sample in calls and files, a frame in python-can's own. Records are drawn from a seed of
-its own (benchmarks/cases), 1,000 samples or so each. Prints each ratio beside the last one in costs.toml and exits 1 where one is worse by more than a
-tenth; --note appends this run there with its reason. On a machine that does something else as well, ratios differ by a
-fifth from run to run: more rounds help.
+its own (benchmarks/cases), 1,000 samples or so each. Prints each ratio beside the last one in costs.toml and exits 1
+where one is worse by more than a tenth; --note appends this run there with its reason. On a machine that does something
+else as well, ratios differ by a fifth from run to run: more rounds help.
 """
 
 import argparse
