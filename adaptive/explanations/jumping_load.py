@@ -72,8 +72,9 @@ def with_jumps(record: Prepared, walk: FloatArray, direction: int, gain_unit: fl
 
 
 def delayed(moved: FloatArray, rows: int) -> FloatArray:
-    """The same so many rows later, from rest."""
-    return np.concatenate([np.zeros(rows), moved[: len(moved) - rows]])
+    """The same so many rows later, from rest; at rest throughout where that is beyond the end."""
+    n = len(moved)
+    return np.concatenate([np.zeros(min(rows, n)), moved[: max(n - rows, 0)]])
 
 
 def shocks_that_pay(
@@ -110,7 +111,7 @@ def whitened(
     if record.smoothing:
         rows = unsmoothed(rows, record.smoothing)
     y, *co = filtered(spectrum(reduced(rows, model.roots)), n, memory)
-    if co:
+    if np.any(co):  # a dead time longer than the record leaves nothing of it
         basis = np.linalg.qr(np.column_stack([basis, *co]))[0]
     response = np.concatenate([[0.0], memory[:-1]])
     if second:

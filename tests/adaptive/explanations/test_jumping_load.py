@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from retuner.adaptive.explanations.jumping_load import with_jumps
-from retuner.adaptive.explanations.process_grid import GAINS, LAGS, shapes
+from retuner.adaptive.explanations.process_grid import DEAD_TIMES, GAINS, LAGS, shapes
 from retuner.adaptive.explanations.valve_odds import log_odds_of_valve
 from retuner.adaptive.explanations.wandering_load import TEMPER, Prepared, log_likelihood
 from retuner.adaptive.fit import engine
@@ -54,6 +54,17 @@ def test_a_load_that_only_wanders_needs_no_jumps() -> None:
     walk, jumping = compared(record("wanders"))
     assert np.all(jumping >= walk - math.log(2.0) - 1e-9)
     assert jumping.max() < walk.max() + 6.0 / TEMPER
+
+
+def test_a_dead_time_longer_than_the_record_is_a_hypothesis_as_any_other() -> None:
+    rows = 60
+    pv = np.cumsum(np.random.default_rng(12201).normal(size=rows + 5))
+    of = Prepared(pv[:rows] - pv[0], pv[5] - pv[5:], 0.0, 1.0)  # co knows pv before it comes: no dead time explains it
+    walk, jumping = compared(of)
+    likeliest = np.unravel_index(np.argmax(walk.reshape(len(walk), -1), axis=1), walk.shape[1:])[0]
+    assert np.any(np.array(DEAD_TIMES)[likeliest] >= rows)
+    assert np.all(np.isfinite(jumping))
+    assert np.all(jumping >= walk - math.log(2.0) - 1e-9)
 
 
 def test_both_engines_say_the_same() -> None:
