@@ -184,12 +184,14 @@ class Book:
         Raises KeyError, TypeError, ValueError: something is missing, of the wrong kind, or of another grid.
         """
         levels, whole, prior = (_unpacked(str(body[name])) for name in ("levels", "whole", "prior"))
-        faded_s = float(body["faded_s"][0]), float(body["faded_s"][1])
+        process_s, of_tone_s = (float(at) for at in body["faded_s"])
         unit, dt_s, t_s, moved, before, tone_s = (float(body[name]) for name in NUMBERS)
         shares = 0.0 <= moved <= 1.0 and 0.0 <= before <= 1.0 and 0.0 <= tone_s < math.inf
-        if not (0 < unit < math.inf and 0 < dt_s < math.inf and math.isfinite(t_s + sum(faded_s)) and shares):
-            raise ValueError(f"a book of unit {unit}, interval {dt_s} s, time {t_s} s, moved by {moved}, {before}")
+        if not (0 < unit < math.inf and 0 < dt_s < math.inf and math.isfinite(t_s + process_s + of_tone_s) and shares):
+            known = f"a book of unit {unit}, interval {dt_s} s, time {t_s} s, moved by {moved}, {before}"
+            raise ValueError(f"{known}, tone of {tone_s} s")
         sign, records, leans = 1 if int(body["direction"]) > 0 else -1, int(body["records"]), int(body["leans"])
+        faded_s = process_s, of_tone_s
         return cls(sign, unit, dt_s, t_s, faded_s, records, leans, moved, before, tone_s, levels, whole, prior)
 
 

@@ -319,6 +319,12 @@ def test_a_damaged_book_is_refused(wrong: dict[str, object]) -> None:
         Book.from_dict(begun().to_dict() | wrong)
 
 
+@pytest.mark.parametrize("count", [0, 1, 3])
+def test_a_book_has_two_times_up_to_which_it_has_faded(count: int) -> None:
+    with pytest.raises(ValueError, match="unpack"):
+        Book.from_dict(begun().to_dict() | {"faded_s": [0.0] * count})
+
+
 def watched(
     pid: PidController, seed: int, n: int, memory_at: int = 0, step: float = 0.0
 ) -> tuple[list[bytes], PidController]:
