@@ -60,6 +60,7 @@ def compared(
     """All records and windows under a load that wanders; None where nothing moves. direction : of the process."""
     dt = max(_interval_s(w, settings) for w in windows)
     parts = [part for w in windows for part in windows_of(w, dt, settings.most_windows)]
+    parts = [part for part in parts if len(part.t_s) >= round(dt / part.sample_time_s)]  # an interval or longer
     both = [(Prepared.at(part, dt), Prepared.at(replace(part, pv=part.sp), dt).pv) for part in parts]
     both = [(r, sp) for r, sp in both if len(r.pv) >= FEWEST_RECORD_SAMPLES and np.ptp(r.pv) > 0 and np.ptp(r.co) > 0]
     if not both:
