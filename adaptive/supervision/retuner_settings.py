@@ -1,5 +1,7 @@
 """Settings of a retuner, its parts' settings among them."""
 
+import math
+
 from retuner.adaptive.choice.choice_settings import ChoiceSettings
 from retuner.adaptive.diagnosis.cause import CauseSettings
 from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
@@ -58,6 +60,11 @@ class RetunerSettings:
     book : what all samples together say of the process, under loads that wander.
     gap_samples : a pause in the samples longer than this ends a response; default 8: where one sample in five is lost,
         so long a pause comes once in 400,000.
+
+    Raises
+    ------
+    ValueError
+        filter_s is not finite, or less than 0.
     """
 
     sample_time_s: float
@@ -114,6 +121,8 @@ class RetunerSettings:
             value = getattr(self, name)
             if value is not None and type(value) is not float:  # of numpy, which JSON refuses in part
                 object.__setattr__(self, name, float(value))
+        if not 0.0 <= self.filter_s < math.inf:
+            raise ValueError(f"filter_s = {self.filter_s} must be a finite number, 0 or more")
 
     def mode_of(self, region: int) -> Mode:
         """What may be done in a region, by index."""

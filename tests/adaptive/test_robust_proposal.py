@@ -181,6 +181,12 @@ def test_a_loop_with_derivative_action_gets_simcs_pid_where_the_second_lag_is_kn
     assert of(known(TWO_LAGS, 1e-3), PI_LOOP)[0].kd == 0.0  # nobody asked for a derivative
 
 
+@pytest.mark.parametrize("filter_s", [np.nan, np.inf, -1.0])
+def test_a_filter_of_no_time_is_refused(filter_s: float) -> None:
+    with pytest.raises(ValueError, match="filter_s"):
+        RetunerSettings(0.5, 100.0, filter_s=filter_s)
+
+
 def test_a_filtered_derivative_gets_a_shorter_integral_time_and_no_larger_tau_c_alone() -> None:
     """With a larger tau_c alone the IAE is half as large again."""
     quick = replace(TWO_LAGS, theta_s=4.0)
