@@ -41,12 +41,11 @@ else:
 packages += FOLDERS_OF_DATA
 
 STABLE = "0x030B0000"
-ENGINE = ("closed", "modes", "lanes", "misfit", "refine", "screen", "search", "steps", "valves", "walk")
 flags = ["/O2", "/std:c11"] if sys.platform == "win32" else ["-std=c11", "-O3", "-ffp-contract=off"]
 engine = Extension(
     "retuner.adaptive.fit._engine",
     sources=["adaptive/fit/_engine.c"],
-    depends=[f"adaptive/fit/engine_c/{part}.h" for part in ENGINE],
+    depends=sorted(str(part) for part in Path("adaptive/fit/engine_c").glob("*.h")),
     define_macros=[("Py_LIMITED_API", STABLE)],
     extra_compile_args=flags + os.environ.get("RETUNER_CFLAGS", "").split(),
     py_limited_api=True,

@@ -133,7 +133,7 @@ class Bench:
         """Wait until all is well; everything that is not as it must be."""
         took_s = self.run(PATIENCE_S, self.well)
         if not self.well():
-            self.wrong.append(f"not well after {took_s:.0f} s: {self.host.phase}, writing {self.host.writing}")
+            self.wrong.append(f"not well after {took_s:.0f} s: {self.host.machine.phase}, writing {self.host.writing}")
         if self.host.running is None or self.host.running[:2] != tuple(self.device.running):
             self.wrong.append(f"the host believes {self.host.running}, {self.device.running} runs")
         made = round((self.times[-1] - self.times[0]) / SAMPLE_S) + 1 if self.times else 0
