@@ -76,17 +76,25 @@ def at_once() -> Decision:
     return bench.run(900, 1.0)[0]
 
 
-def test_an_answer_that_travelled_decides_as_observe_does(at_once: Decision) -> None:
-    bench = made(scaled(2.4, 2.4))
-    found = asked(bench)
+@pytest.fixture
+def found(bench: Bench) -> Asked:
+    return asked(bench)
+
+
+@pytest.fixture
+def bench() -> Bench:
+    return made(scaled(2.4, 2.4))
+
+
+def test_an_answer_that_travelled_decides_as_observe_does(found: Asked, bench: Bench, at_once: Decision) -> None:
     assert entered(bench, found).canonical() == at_once.canonical()
     assert "delay" not in at_once.to_dict()
     assert at_once.action is Action.WRITE
 
 
-def test_an_answer_entered_later_is_the_same_but_for_its_time_and_says_when(at_once: Decision) -> None:
-    bench = made(scaled(2.4, 2.4))
-    found = asked(bench)
+def test_an_answer_entered_later_is_the_same_but_for_its_time_and_says_when(
+    found: Asked, bench: Bench, at_once: Decision
+) -> None:
     go_on(bench, found.samples)
     number = bench.retuner.sample_number
     late = entered(bench, found)
@@ -118,8 +126,7 @@ def run_later(bench: Bench, later: int) -> list[Decision]:
 
 @pytest.mark.slow
 @pytest.mark.uncounted
-def test_no_delay_is_observe() -> None:
-    bench = made(scaled(2.4, 2.4))
+def test_no_delay_is_observe(bench: Bench) -> None:
     at_once = [d for sp, load in ((0, 0), (1, 0), (1, 0.5), (0, 0)) for d in bench.run(500, sp, load)]
     assert [d.canonical() for d in run_later(made(scaled(2.4, 2.4)), 0)] == [d.canonical() for d in at_once]
 
@@ -135,17 +142,13 @@ def refused(bench: Bench, found: Asked) -> str:
     return decision.code
 
 
-def test_an_answer_is_overtaken_by_other_gains() -> None:
-    bench = made(scaled(2.4, 2.4))
-    found = asked(bench)
+def test_an_answer_is_overtaken_by_other_gains(found: Asked, bench: Bench) -> None:
     go_on(bench, found.samples)
     bench.retuner.committed(0, scaled(1.0, 1.0))
     assert refused(bench, found) == "overtaken_gains_changed"
 
 
-def test_an_answer_is_overtaken_by_a_set_that_the_controller_reports() -> None:
-    bench = made(scaled(2.4, 2.4))
-    found = asked(bench)
+def test_an_answer_is_overtaken_by_a_set_that_the_controller_reports(found: Asked, bench: Bench) -> None:
     bench.retuner.step(next(found.samples)._replace(revision=9))
     assert refused(bench, found) == "overtaken_gains_changed"
 
@@ -163,9 +166,7 @@ def test_an_answer_is_overtaken_when_the_region_is_left_or_the_record_breaks_off
         assert refused(bench, found) == code
 
 
-def test_a_response_that_completes_meanwhile_is_passed_over() -> None:
-    bench = made(scaled(2.4, 2.4))
-    found = asked(bench)
+def test_a_response_that_completes_meanwhile_is_passed_over(found: Asked, bench: Bench) -> None:
     steps = [bench.retuner.step(sample) for sample in chain(found.samples, bench.samples(900, 0.0, 0.0, 10.0))]
     (passed,) = [step.decision for step in steps if step.decision]
     assert (passed.code, passed.action, passed.estimate) == ("passed_over", Action.NONE, None)
@@ -173,9 +174,7 @@ def test_a_response_that_completes_meanwhile_is_passed_over() -> None:
     assert all(step.question is None for step in steps)
 
 
-def test_only_the_open_question_is_answered_once_and_at_the_newest_sample() -> None:
-    bench = made(scaled(2.4, 2.4))
-    found = asked(bench)
+def test_only_the_open_question_is_answered_once_and_at_the_newest_sample(found: Asked, bench: Bench) -> None:
     with pytest.raises(ValueError, match="newest one is"):
         bench.retuner.enter(found.question, found.result, bench.retuner.sample_number - 1)
     entered(bench, found)
@@ -183,9 +182,7 @@ def test_only_the_open_question_is_answered_once_and_at_the_newest_sample() -> N
         entered(bench, found)
 
 
-def test_a_question_does_not_outlive_a_restart() -> None:
-    bench = made(scaled(2.4, 2.4))
-    found = asked(bench)
+def test_a_question_does_not_outlive_a_restart(found: Asked, bench: Bench) -> None:
     number = bench.retuner.sample_number
     bench.retuner = restore(json.loads(json.dumps(remember(bench.retuner))), bench.retuner.settings)
     assert bench.retuner.sample_number == number
@@ -199,18 +196,14 @@ def test_in_a_region_that_is_off_nothing_is_asked() -> None:
     assert all(bench.retuner.step(s) == (None, None) for s in bench.samples(400, 1.0, 0.0, 10.0))
 
 
-def test_a_worker_that_fails_is_answered_for() -> None:
-    bench = made(scaled(2.4, 2.4))
-    found = asked(bench)
+def test_a_worker_that_fails_is_answered_for(found: Asked, bench: Bench) -> None:
     failed = Outcome("fit_failed", "the worker died")
     decision = bench.retuner.enter(found.question, failed, bench.retuner.sample_number)
     assert (decision.code, decision.reason, decision.action) == ("fit_failed", "the worker died", Action.NONE)
 
 
-def test_a_question_is_not_changed_by_what_comes_after_it(at_once: Decision) -> None:
+def test_a_question_is_not_changed_by_what_comes_after_it(found: Asked, bench: Bench, at_once: Decision) -> None:
     """It holds values: samples, table and models as they were."""
-    bench = made(scaled(2.4, 2.4))
-    found = asked(bench)
     bytes_then = pickle.dumps(found.question)
     go_on(bench, found.samples, 30)
     assert pickle.dumps(found.question) == bytes_then

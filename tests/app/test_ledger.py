@@ -53,6 +53,11 @@ def tamper(path: Path, *statements: str) -> None:
     connection.close()
 
 
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "l.sqlite"
+
+
 def test_rows_come_back_as_written(tmp_path: Path) -> None:
     with Ledger(tmp_path / "l.sqlite") as ledger:
         row = ledger.append("decision", BODY, clock_s=1.5)
@@ -83,8 +88,7 @@ def test_key_order_does_not_matter_but_every_field_does(tmp_path: Path) -> None:
     assert len(set(heads)) == 4
 
 
-def test_reopen_goes_on_where_it_ended(tmp_path: Path) -> None:
-    path = tmp_path / "l.sqlite"
+def test_reopen_goes_on_where_it_ended(path: Path, tmp_path: Path) -> None:
     written(path, 3)
     with Ledger(path) as ledger:
         assert ledger.append("more", {}, 9.0).seq == 4
@@ -132,8 +136,7 @@ def test_canonical_json_is_a_fixed_point(value: object) -> None:
         "INSERT OR REPLACE INTO ledger SELECT seq, 7, kind, body, previous, hash FROM ledger WHERE seq = 5",
     ],
 )
-def test_the_file_itself_refuses_changes(tmp_path: Path, statement: str) -> None:
-    path = tmp_path / "l.sqlite"
+def test_the_file_itself_refuses_changes(path: Path, statement: str) -> None:
     head = written(path)
     connection = sqlite3.connect(path)
     with pytest.raises(sqlite3.IntegrityError):
@@ -157,8 +160,7 @@ def test_the_file_itself_refuses_changes(tmp_path: Path, statement: str) -> None
         ("DELETE FROM ledger", 1, "cut off"),
     ],
 )
-def test_verify_names_the_first_row_that_was_tampered_with(tmp_path, statement, broken, reason):
-    path = tmp_path / "l.sqlite"
+def test_verify_names_the_first_row_that_was_tampered_with(path, statement, broken, reason):
     written(path)
     tamper(path, statement)
     with LedgerReader(path) as ledger:
@@ -169,8 +171,7 @@ def test_verify_names_the_first_row_that_was_tampered_with(tmp_path, statement, 
         Ledger(path)
 
 
-def test_rows_cut_off_together_with_the_head_show_against_a_hash_noted_elsewhere(tmp_path):
-    path = tmp_path / "l.sqlite"
+def test_rows_cut_off_together_with_the_head_show_against_a_hash_noted_elsewhere(path):
     head = written(path, 5)
     with LedgerReader(path) as ledger:
         middle = list(ledger.rows())[2].hash
@@ -187,8 +188,9 @@ def test_rows_cut_off_together_with_the_head_show_against_a_hash_noted_elsewhere
     assert f"no row has the hash {head[:12]}" in document["reason"]
 
 
-def test_a_broken_chain_is_status_1_and_no_ledger_status_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "l.sqlite"
+def test_a_broken_chain_is_status_1_and_no_ledger_status_2(
+    path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     written(path)
     tamper(path, "UPDATE ledger SET clock_s = 7 WHERE seq = 2")
     assert "row 2 was changed after it was written; 1 rows before it hold" in printed(
@@ -199,16 +201,14 @@ def test_a_broken_chain_is_status_1_and_no_ledger_status_2(tmp_path: Path, capsy
     assert capsys.readouterr().err.count("\n") == 2
 
 
-def test_a_value_of_another_kind_breaks_the_chain(tmp_path: Path) -> None:
-    path = tmp_path / "l.sqlite"
+def test_a_value_of_another_kind_breaks_the_chain(path: Path) -> None:
     written(path)
     tamper(path, "UPDATE ledger SET clock_s = 'soon' WHERE seq = 2")
     with LedgerReader(path) as ledger:
         assert ledger.verify().broken_seq == 2
 
 
-def test_reading_while_writing(tmp_path: Path) -> None:
-    path = tmp_path / "l.sqlite"
+def test_reading_while_writing(path: Path) -> None:
     with Ledger(path) as ledger, LedgerReader(path) as reader:
         ledger.append("k", {}, 0.0)
         assert reader.verify().rows == 1
@@ -216,8 +216,7 @@ def test_reading_while_writing(tmp_path: Path) -> None:
         assert reader.verify().rows == 2
 
 
-def test_a_second_writer_is_refused_and_the_first_goes_on(tmp_path: Path) -> None:
-    path = tmp_path / "l.sqlite"
+def test_a_second_writer_is_refused_and_the_first_goes_on(path: Path) -> None:
     with Ledger(path) as ledger:
         with pytest.raises(LedgerError, match="another run writes this ledger"):
             Ledger(path)
@@ -240,8 +239,7 @@ os._exit(9)
 
 
 @pytest.mark.parametrize("rows", [1, 20])
-def test_a_killed_writer_loses_no_acknowledged_row_and_leaves_no_half_one(tmp_path: Path, rows: int) -> None:
-    path = tmp_path / "l.sqlite"
+def test_a_killed_writer_loses_no_acknowledged_row_and_leaves_no_half_one(path: Path, rows: int) -> None:
     killed = subprocess.run([sys.executable, "-P", "-c", WRITER, path, str(rows)], capture_output=True, check=False)
     assert killed.returncode == 9, killed.stderr
     acknowledged = int(killed.stdout.split()[-1])
@@ -250,8 +248,7 @@ def test_a_killed_writer_loses_no_acknowledged_row_and_leaves_no_half_one(tmp_pa
         assert ledger.append("k", {}, 0.0).seq == rows + 1
 
 
-def test_a_second_process_is_refused_while_the_first_lives(tmp_path: Path) -> None:
-    path = tmp_path / "l.sqlite"
+def test_a_second_process_is_refused_while_the_first_lives(path: Path) -> None:
     with Ledger(path):
         second = subprocess.run(
             [sys.executable, "-P", "-c", WRITER, path, "1"], capture_output=True, text=True, check=False
@@ -272,9 +269,8 @@ os._exit(9)
 """
 
 
-def test_readers_here_and_elsewhere_do_not_take_the_writers_rows_away(tmp_path: Path) -> None:
+def test_readers_here_and_elsewhere_do_not_take_the_writers_rows_away(path: Path) -> None:
     """A handle opened and closed beside SQLite drops the writer's locks; then a reader elsewhere deletes its WAL."""
-    path = tmp_path / "l.sqlite"
     command = [sys.executable, "-P", "-c", READ_TWICE, str(path)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as writer:
         assert writer.stdout.read(1) == b"."
@@ -299,18 +295,16 @@ def test_a_lock_file_that_a_killed_run_left_does_no_harm(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("size", [1, 2, 511])
-def test_a_file_too_short_for_any_database_stays_as_it_is(tmp_path: Path, size: int) -> None:
+def test_a_file_too_short_for_any_database_stays_as_it_is(path: Path, size: int) -> None:
     """SQLite would take it for an empty one and write over it: somebody's notes would be gone."""
-    path = tmp_path / "l.sqlite"
     path.write_bytes(b"n" * size)
     with pytest.raises(LedgerError, match="is not a database"):
         Ledger(path)
     assert path.read_bytes() == b"n" * size
 
 
-def test_a_broken_ledger_is_let_go_of(tmp_path: Path) -> None:
+def test_a_broken_ledger_is_let_go_of(path: Path) -> None:
     """Its lock stays with nobody: whoever looks into it next is told that it is broken, not that it is in use."""
-    path = tmp_path / "l.sqlite"
     written(path)
     tamper(path, "UPDATE ledger SET clock_s = 7 WHERE seq = 2")
     kept = []
@@ -374,8 +368,7 @@ def test_a_lock_whose_file_lost_its_name_is_taken_anew(tmp_path: Path, monkeypat
             Ledger(path)
 
 
-def test_after_a_failed_write_nothing_more_is_promised(tmp_path: Path) -> None:
-    path = tmp_path / "l.sqlite"
+def test_after_a_failed_write_nothing_more_is_promised(path: Path) -> None:
     with Ledger(path) as ledger:
         ledger.append("k", {}, 0.0)
         ledger._connection.execute("PRAGMA max_page_count = 1")  # a full disk, as SQLite sees it
@@ -427,8 +420,7 @@ def test_missing_places_are_named(tmp_path: Path) -> None:
         Ledger(tmp_path / "folder")
 
 
-def test_every_flipped_byte_is_noticed_or_harmless(tmp_path: Path) -> None:
-    path = tmp_path / "l.sqlite"
+def test_every_flipped_byte_is_noticed_or_harmless(path: Path) -> None:
     head = written(path, 3)
     good = path.read_bytes()
     with LedgerReader(path) as reader:
@@ -440,8 +432,7 @@ def test_every_flipped_byte_is_noticed_or_harmless(tmp_path: Path) -> None:
             assert not believed or (list(reader.rows()), reader.head()) == (rows, head)
 
 
-def test_truncated_files_are_refused(tmp_path: Path) -> None:
-    path = tmp_path / "l.sqlite"
+def test_truncated_files_are_refused(path: Path) -> None:
     written(path, 40)
     good = path.read_bytes()
     for kept in range(1, len(good), 1024):

@@ -144,14 +144,17 @@ class Stage:
             self.session.poll(self.t)
 
 
-def test_nothing_is_written_while_the_controller_runs_what_the_table_says() -> None:
-    stage = Stage()
+@pytest.fixture
+def stage() -> Stage:
+    return Stage()
+
+
+def test_nothing_is_written_while_the_controller_runs_what_the_table_says(stage: Stage) -> None:
     stage.tick(n=50)
     assert stage.log.lines == []
 
 
-def test_the_intent_is_recorded_before_the_write_begins_and_the_table_changes_after_it_is_done() -> None:
-    stage = Stage()
+def test_the_intent_is_recorded_before_the_write_begins_and_the_table_changes_after_it_is_done(stage: Stage) -> None:
     stage.tick(n=3)
     stage.retuner.wish = BETTER
     stage.tick()
@@ -168,8 +171,7 @@ def test_the_intent_is_recorded_before_the_write_begins_and_the_table_changes_af
     assert stage.log.kinds()[-1] == "committed"
 
 
-def test_the_gains_that_were_read_back_are_the_ones_in_the_table() -> None:
-    stage = Stage()
+def test_the_gains_that_were_read_back_are_the_ones_in_the_table(stage: Stage) -> None:
     stage.tick()
     stage.retuner.wish = BETTER
     stage.tick()
@@ -180,8 +182,7 @@ def test_the_gains_that_were_read_back_are_the_ones_in_the_table() -> None:
 
 
 @pytest.mark.parametrize("fault", LinkFault)
-def test_trouble_on_the_link_is_recorded_and_holds_the_adaptation_for_a_while(fault: LinkFault) -> None:
-    stage = Stage()
+def test_trouble_on_the_link_is_recorded_and_holds_the_adaptation_for_a_while(stage: Stage, fault: LinkFault) -> None:
     stage.tick(n=3)
     stage.session.link_faults([FaultNews(fault, 7)])
     assert stage.log.lines == [("bus", {"fault": fault, "times": 7})]
@@ -197,8 +198,7 @@ def test_trouble_on_the_link_is_recorded_and_holds_the_adaptation_for_a_while(fa
     assert stage.log.kinds()[3:] == ["decision", "intent", "begin_write"]
 
 
-def test_a_lost_link_holds_the_adaptation_and_the_schedule_goes_on() -> None:
-    stage = Stage()
+def test_a_lost_link_holds_the_adaptation_and_the_schedule_goes_on(stage: Stage) -> None:
     stage.tick(n=3)
     stage.device.events.append(LinkChanged(LinkState.SILENT, "no frame for 20 s"))
     stage.device.events.append(LinkChanged(LinkState.UP, "heard"))
@@ -210,8 +210,7 @@ def test_a_lost_link_holds_the_adaptation_and_the_schedule_goes_on() -> None:
     assert stage.log.lines[-1][1] == HIGH
 
 
-def test_a_frozen_session_begins_nothing_and_ends_when_its_write_has_ended() -> None:
-    stage = Stage()
+def test_a_frozen_session_begins_nothing_and_ends_when_its_write_has_ended(stage: Stage) -> None:
     stage.tick(n=3)
     stage.retuner.wish = BETTER
     stage.tick()
@@ -225,8 +224,7 @@ def test_a_frozen_session_begins_nothing_and_ends_when_its_write_has_ended() -> 
     assert stage.session.frozen == "the disk is full"
 
 
-def test_a_failed_write_leaves_the_table_and_is_recorded() -> None:
-    stage = Stage()
+def test_a_failed_write_leaves_the_table_and_is_recorded(stage: Stage) -> None:
     stage.tick()
     stage.retuner.wish = BETTER
     stage.tick()
@@ -236,8 +234,7 @@ def test_a_failed_write_leaves_the_table_and_is_recorded() -> None:
     assert stage.session.table == TABLE
 
 
-def test_a_write_that_is_not_even_started_is_recorded_as_refused() -> None:
-    stage = Stage()
+def test_a_write_that_is_not_even_started_is_recorded_as_refused(stage: Stage) -> None:
     stage.tick()
     stage.device.refuse = True
     stage.retuner.wish = BETTER
@@ -246,8 +243,7 @@ def test_a_write_that_is_not_even_started_is_recorded_as_refused() -> None:
     assert stage.session.table == TABLE
 
 
-def test_another_region_has_its_gains_written_and_the_table_stays() -> None:
-    stage = Stage()
+def test_another_region_has_its_gains_written_and_the_table_stays(stage: Stage) -> None:
     stage.tick(n=2)
     stage.tick(sp=80.0)
     assert stage.log.kinds() == ["intent", "begin_write"]
@@ -258,8 +254,7 @@ def test_another_region_has_its_gains_written_and_the_table_stays() -> None:
     assert stage.session.table == TABLE
 
 
-def test_a_schedule_write_that_failed_is_tried_again_after_a_while() -> None:
-    stage = Stage()
+def test_a_schedule_write_that_failed_is_tried_again_after_a_while(stage: Stage) -> None:
     stage.tick()
     stage.tick(sp=80.0)
     stage.device.fail()
@@ -269,8 +264,9 @@ def test_a_schedule_write_that_failed_is_tried_again_after_a_while() -> None:
     assert stage.log.kinds().count("begin_write") == 2
 
 
-def test_a_decision_for_a_region_where_the_loop_is_not_changes_the_table_and_is_written_when_it_comes() -> None:
-    stage = Stage()
+def test_a_decision_for_a_region_where_the_loop_is_not_changes_the_table_and_is_written_when_it_comes(
+    stage: Stage,
+) -> None:
     stage.tick()
     stage.retuner.wish, stage.retuner.wished_in = BETTER, 1
     stage.tick(n=2)
@@ -281,8 +277,7 @@ def test_a_decision_for_a_region_where_the_loop_is_not_changes_the_table_and_is_
     assert stage.log.lines[-1] == ("begin_write", BETTER)
 
 
-def test_a_decision_for_a_region_that_was_left_meanwhile_is_dropped() -> None:
-    stage = Stage()
+def test_a_decision_for_a_region_that_was_left_meanwhile_is_dropped(stage: Stage) -> None:
     stage.tick()
     stage.device.writing = True  # the wire is busy
     stage.retuner.wish = BETTER
@@ -295,8 +290,7 @@ def test_a_decision_for_a_region_that_was_left_meanwhile_is_dropped() -> None:
     assert ("begin_write", BETTER) not in stage.log.lines
 
 
-def test_nothing_is_written_without_a_connection_or_a_known_running_set() -> None:
-    stage = Stage()
+def test_nothing_is_written_without_a_connection_or_a_known_running_set(stage: Stage) -> None:
     stage.tick()
     stage.device.connected = False
     stage.tick(sp=80.0, n=5)
@@ -319,8 +313,7 @@ def test_nothing_is_written_without_a_connection_or_a_known_running_set() -> Non
         (DeviceConflict(1), "conflict"),
     ],
 )
-def test_trouble_is_recorded(event: Event, kind: str) -> None:
-    stage = Stage()
+def test_trouble_is_recorded(stage: Stage, event: Event, kind: str) -> None:
     stage.device.events.append(event)
     stage.session.poll(0.0)
     assert stage.log.kinds() == [kind]

@@ -149,9 +149,14 @@ def samples_of(events: Sequence[Event]) -> list[LoopSample]:
     return [event for event in events if isinstance(event, LoopSample)]
 
 
-def test_samples_are_the_axis_own_values_one_by_one() -> None:
-    stage = Stage()
-    stage.run(10)
+@pytest.fixture
+def stage() -> Stage:
+    made = Stage()
+    made.run(10)
+    return made
+
+
+def test_samples_are_the_axis_own_values_one_by_one(stage: Stage) -> None:
     stage.host.send_setpoint(10.0, stage.now_s)
     events = stage.run(100)
     samples = samples_of(events)
@@ -163,9 +168,7 @@ def test_samples_are_the_axis_own_values_one_by_one() -> None:
     assert samples[-1].mode == LoopMode.AUTO
 
 
-def test_a_set_goes_out_in_one_frame_in_the_axis_units_and_is_believed_where_that_is_accepted() -> None:
-    stage = Stage()
-    stage.run(10)
+def test_a_set_goes_out_in_one_frame_in_the_axis_units_and_is_believed_where_that_is_accepted(stage: Stage) -> None:
     assert stage.axis.gains == struct.unpack("<ff", struct.pack("<ff", 0.02, 0.01))  # the configured set, sent once
     stage.host.begin_write(PidGains(2.0, 1.5), stage.now_s)
     events = stage.run(60)
@@ -178,9 +181,9 @@ def test_a_set_goes_out_in_one_frame_in_the_axis_units_and_is_believed_where_tha
 
 
 @pytest.mark.parametrize("before", [0, 10, 20])
-def test_silence_in_the_middle_of_a_write_without_read_back_ends_with_the_set_sent_again(before: int) -> None:
-    stage = Stage()
-    stage.run(10)
+def test_silence_in_the_middle_of_a_write_without_read_back_ends_with_the_set_sent_again(
+    stage: Stage, before: int
+) -> None:
     stage.host.begin_write(PidGains(2.0, 1.5), stage.now_s)
     events = stage.run(before)
     send, stage.wire.send = stage.wire.send, lambda _: False  # nothing gets through either way
@@ -203,9 +206,7 @@ def test_without_the_users_word_nothing_is_ever_written() -> None:
     assert stage.axis.gain_frames == 0
 
 
-def test_the_watchdog_is_fed_with_the_setpoint() -> None:
-    stage = Stage()
-    stage.run(10)
+def test_the_watchdog_is_fed_with_the_setpoint(stage: Stage) -> None:
     stage.host.send_setpoint(5.0, stage.now_s)
     stage.wire.sent.clear()
     stage.run(50)  # a second: every 0.1 s
@@ -214,9 +215,7 @@ def test_the_watchdog_is_fed_with_the_setpoint() -> None:
     assert {struct.unpack("<ff", message.data) for message in fed} == {(5.0, 0.0)}
 
 
-def test_an_axis_error_is_told_once_and_its_samples_are_not_in_auto() -> None:
-    stage = Stage()
-    stage.run(10)
+def test_an_axis_error_is_told_once_and_its_samples_are_not_in_auto(stage: Stage) -> None:
     stage.axis.error, stage.axis.state = 0x800, 1
     events = stage.run(50)
     stops = [event for event in events if isinstance(event, DeviceStopped)]
@@ -226,9 +225,7 @@ def test_an_axis_error_is_told_once_and_its_samples_are_not_in_auto() -> None:
     assert samples_of(stage.run(20))[-1].mode == LoopMode.AUTO
 
 
-def test_silence_is_told_and_what_was_believed_is_sent_again_after_it() -> None:
-    stage = Stage()
-    stage.run(10)
+def test_silence_is_told_and_what_was_believed_is_sent_again_after_it(stage: Stage) -> None:
     events = stage.run(40, silent=True)
     assert [event.state for event in events if isinstance(event, LinkChanged)] == [LinkState.SILENT]
     assert not stage.host.connected
@@ -245,9 +242,7 @@ def test_nobody_there_is_one_clear_line() -> None:
         stage.run(300, silent=True)
 
 
-def test_numbers_that_are_none_never_reach_the_wire() -> None:
-    stage = Stage()
-    stage.run(10)
+def test_numbers_that_are_none_never_reach_the_wire(stage: Stage) -> None:
     with pytest.raises(WriteRefusedError, match="finite"):
         stage.host.send_setpoint(float("nan"), stage.now_s)
     with pytest.raises(WriteRefusedError, match="kp"):
@@ -256,9 +251,7 @@ def test_numbers_that_are_none_never_reach_the_wire() -> None:
         stage.host.begin_write(PidGains(1.0, 1.0, 1.0), stage.now_s)
 
 
-def test_frames_of_others_and_damaged_ones_do_nothing() -> None:
-    stage = Stage()
-    stage.run(10)
+def test_frames_of_others_and_damaged_ones_do_nothing(stage: Stage) -> None:
     strange = [
         can.Message(arbitration_id=NODE << 5 | 9, is_extended_id=True, data=bytes(8)),
         can.Message(arbitration_id=4 << 5 | 9, is_extended_id=False, data=struct.pack("<ff", 0.0, 99.0)),
@@ -269,9 +262,7 @@ def test_frames_of_others_and_damaged_ones_do_nothing() -> None:
     assert {sample.pv for sample in samples_of(stage.run(20, strange))} == {0.0}
 
 
-def test_commands_are_done_when_they_are_sent() -> None:
-    stage = Stage()
-    stage.run(10)
+def test_commands_are_done_when_they_are_sent(stage: Stage) -> None:
     stage.host.send_setpoint(3.0, stage.now_s)
     assert CommandDone("setpoint") in stage.run(1)
     for refused in (lambda: stage.host.send_load(3.0, stage.now_s), lambda: stage.host.store(stage.now_s)):

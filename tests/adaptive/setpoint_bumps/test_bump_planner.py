@@ -66,14 +66,18 @@ def around(**changes: object) -> LoopAround:
     return LoopAround(**{name: getattr(CALM, name) for name in LoopAround.__slots__} | changes)
 
 
+@pytest.fixture
+def bench() -> Bench:
+    return Bench()
+
+
 def test_nothing_happens_unless_it_is_allowed() -> None:
     bench = Bench(BumpSettings(after_h=0.001, announce_s=0.0))
     bench.run(5000)
     assert (bench.news, bench.sp) == ([], 50.0)
 
 
-def test_a_bump_is_announced_made_and_taken_back_when_the_loop_is_at_rest() -> None:
-    bench = Bench()
+def test_a_bump_is_announced_made_and_taken_back_when_the_loop_is_at_rest(bench: Bench) -> None:
     bench.run(3600)
     assert bench.news == []
     bench.run(1)
@@ -99,14 +103,12 @@ def test_bumps_go_up_and_down_in_turn_and_keep_to_their_budgets() -> None:
 
 
 @pytest.mark.parametrize("unfit", [{"wanted": ""}, {"at_rest": False}, {"low": 49.5, "high": 50.5}])
-def test_no_bump_is_announced_to_a_loop_that_is_not_fit_for_it(unfit: dict[str, object]) -> None:
-    bench = Bench()
+def test_no_bump_is_announced_to_a_loop_that_is_not_fit_for_it(bench: Bench, unfit: dict[str, object]) -> None:
     bench.run(5000, around(**unfit))
     assert bench.news == []
 
 
-def test_a_bump_that_would_drown_in_the_noise_is_not_made_and_that_is_told_once() -> None:
-    bench = Bench()
+def test_a_bump_that_would_drown_in_the_noise_is_not_made_and_that_is_told_once(bench: Bench) -> None:
     bench.run(5000, around(band=0.4))
     assert (bench.causes, bench.sp) == ([BumpEvent.TOO_SMALL], 50.0)
     assert "is 2.5 noise bands, and 4 are needed" in bench.news[0].reason
@@ -114,14 +116,12 @@ def test_a_bump_that_would_drown_in_the_noise_is_not_made_and_that_is_told_once(
 
 
 @pytest.mark.parametrize("sample", [{"mode": LoopMode.MANUAL}, {"limited": True}, {"pv": 51.0}])
-def test_no_bump_is_announced_while_the_loop_does_not_regulate(sample: dict[str, object]) -> None:
-    bench = Bench()
+def test_no_bump_is_announced_while_the_loop_does_not_regulate(bench: Bench, sample: dict[str, object]) -> None:
     bench.run(5000, **sample)
     assert bench.news == []
 
 
-def test_the_other_side_is_taken_where_one_has_no_room() -> None:
-    bench = Bench()
+def test_the_other_side_is_taken_where_one_has_no_room(bench: Bench) -> None:
     bench.run(3601, around(high=50.5))
     assert bench.news[0].to == 49.0
 
@@ -133,16 +133,14 @@ def test_hours_may_go_over_midnight(hour: float, due: bool) -> None:
     assert bool(bench.news) is due
 
 
-def test_whoever_moves_the_setpoint_puts_an_announced_bump_off() -> None:
-    bench = Bench()
+def test_whoever_moves_the_setpoint_puts_an_announced_bump_off(bench: Bench) -> None:
     bench.run(3610)
     bench.sp = 55.0
     bench.run(200)
     assert (bench.causes, bench.sp) == ([BumpEvent.DUE, BumpEvent.OTHERS], 55.0)
 
 
-def test_a_setpoint_that_somebody_else_sets_during_a_bump_stays() -> None:
-    bench = Bench()
+def test_a_setpoint_that_somebody_else_sets_during_a_bump_stays(bench: Bench) -> None:
     bench.out()
     bench.sp = 55.0
     bench.run(100)
@@ -157,30 +155,26 @@ def test_a_setpoint_that_somebody_else_sets_during_a_bump_stays() -> None:
         ({"mode": LoopMode.MANUAL}, BumpEvent.NOT_IN_AUTO),
     ],
 )
-def test_trouble_takes_a_bump_back_at_once(sample: dict[str, object], cause: BumpEvent) -> None:
-    bench = Bench()
+def test_trouble_takes_a_bump_back_at_once(bench: Bench, sample: dict[str, object], cause: BumpEvent) -> None:
     bench.out()
     bench.run(1, **sample)
     assert (bench.causes[-1], bench.sp) == (cause, 50.0)
 
 
-def test_a_loop_that_does_not_come_to_rest_gets_its_setpoint_back_in_time() -> None:
-    bench = Bench()
+def test_a_loop_that_does_not_come_to_rest_gets_its_setpoint_back_in_time(bench: Bench) -> None:
     bench.out()
     bench.run(602, around(at_rest=False))
     assert (bench.causes[-1], bench.sp) == (BumpEvent.TOO_LONG, 50.0)
 
 
-def test_the_end_of_a_session_takes_a_bump_back() -> None:
-    bench = Bench()
+def test_the_end_of_a_session_takes_a_bump_back(bench: Bench) -> None:
     bench.out()
     news = bench.planner.end(bench.t)
     assert (news.cause, news.setpoint) == (BumpEvent.ENDED, 50.0)
     assert bench.planner.end(bench.t) is None
 
 
-def test_a_setpoint_that_is_not_taken_is_sent_again_and_then_given_up() -> None:
-    bench = Bench()
+def test_a_setpoint_that_is_not_taken_is_sent_again_and_then_given_up(bench: Bench) -> None:
     bench.run(3600)
     bench.run(61 + 45, deaf=True)
     assert bench.causes[-1] is BumpEvent.NOT_TAKEN
@@ -188,8 +182,7 @@ def test_a_setpoint_that_is_not_taken_is_sent_again_and_then_given_up() -> None:
     assert (bench.causes[-1], bench.sp) == (BumpEvent.BACK, 50.0)
 
 
-def test_what_a_session_before_left_out_goes_back_first() -> None:
-    bench = Bench()
+def test_what_a_session_before_left_out_goes_back_first(bench: Bench) -> None:
     bench.sp = 51.0
     bench.planner.left_out(50.0, 51.0)
     bench.run(3)
@@ -200,8 +193,7 @@ def test_what_a_session_before_left_out_goes_back_first() -> None:
     assert not bench.planner.out
 
 
-def test_evidence_begins_the_waiting_anew() -> None:
-    bench = Bench()
+def test_evidence_begins_the_waiting_anew(bench: Bench) -> None:
     bench.run(3000)
     bench.planner.evidence(bench.t)
     bench.run(3000)
@@ -233,8 +225,7 @@ def test_a_loop_that_is_never_at_rest_is_bumped_to_and_fro() -> None:
     assert len(bench.planner.made) == 1
 
 
-def test_what_the_evidence_has_left_makes_no_loop_restless() -> None:
-    bench = Bench()
+def test_what_the_evidence_has_left_makes_no_loop_restless(bench: Bench) -> None:
     bench.wander = 0.2
     bench.run(1500, around(at_rest=False))
     bench.wander = 0.0
@@ -242,8 +233,7 @@ def test_what_the_evidence_has_left_makes_no_loop_restless() -> None:
     assert "until the loop is at rest, and back" in bench.news[0].reason
 
 
-def test_to_and_fro_needs_room_on_both_sides() -> None:
-    bench = Bench()
+def test_to_and_fro_needs_room_on_both_sides(bench: Bench) -> None:
     bench.wander = 0.2
     bench.run(4000, around(at_rest=False, high=50.5))
     assert bench.news == []
@@ -294,8 +284,7 @@ def test_whatever_happens_only_two_setpoints_are_ever_asked_for_and_the_old_one_
 
 
 @pytest.mark.parametrize("to_and_fro", [False, True])
-def test_a_mode_that_forbids_it_ends_a_bump_at_once(to_and_fro: bool) -> None:
-    bench = Bench()
+def test_a_mode_that_forbids_it_ends_a_bump_at_once(bench: Bench, to_and_fro: bool) -> None:
     bench.wander = 0.3 if to_and_fro else 0.0
     bench.out()
     bench.run(1, around(allowed=False))
@@ -306,8 +295,7 @@ def test_a_mode_that_forbids_it_ends_a_bump_at_once(to_and_fro: bool) -> None:
     assert bench.sp == 50.0
 
 
-def test_nor_is_one_sent_that_a_person_has_just_forbidden() -> None:
-    bench = Bench()
+def test_nor_is_one_sent_that_a_person_has_just_forbidden(bench: Bench) -> None:
     bench.run(3600 + 62, deaf=True)
     assert bench.planner.phase is BumpPhase.GOING
     bench.run(1, around(allowed=False), deaf=True)

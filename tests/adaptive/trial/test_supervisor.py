@@ -76,10 +76,14 @@ class Bench:
         assert self.trials.phase(0) is phase
 
 
+@pytest.fixture
+def bench() -> Bench:
+    return Bench()
+
+
 @pytest.mark.parametrize("phase", [p for p in TrialPhase if p not in STAYS], ids=lambda p: p.name)
 @pytest.mark.parametrize("cause", [c for c in ABORTS if c is not E.TIMED_OUT], ids=lambda c: c.name)
-def test_with_nothing_known_every_cause_in_every_phase_ends_on_the_set_that_was_seen_to_work(phase, cause):
-    bench = Bench()
+def test_with_nothing_known_every_cause_in_every_phase_ends_on_the_set_that_was_seen_to_work(bench, phase, cause):
     bench.into(phase)
     now = bench.table[0] if phase in {P.WAITING, P.HELD} else OLD
     bench.trials.event(0, cause, bench.t_s)
@@ -94,8 +98,7 @@ def test_with_nothing_known_every_cause_in_every_phase_ends_on_the_set_that_was_
     assert bench.table[0] == verified
 
 
-def test_with_nothing_known_responses_that_say_nothing_leave_the_set_that_they_ran_under() -> None:
-    bench = Bench()
+def test_with_nothing_known_responses_that_say_nothing_leave_the_set_that_they_ran_under(bench: Bench) -> None:
     bench.write()
     for _ in range(bench.trial_settings.inconclusive):
         bench.trials.silent(0, Judgement(TrialFinding.INCONCLUSIVE, "too small", TrialNumbers(1.0)), bench.t_s)
@@ -144,8 +147,7 @@ def test_a_safer_change_that_is_due_ends_a_trial_that_no_person_has_to_approve(a
 
 
 @pytest.mark.parametrize("cause", [c for c in ABORTS if c is not E.TIMED_OUT], ids=lambda c: c.name)
-def test_a_write_that_comes_through_after_all_is_not_taken_for_a_trial(cause: TrialEvent) -> None:
-    bench = Bench()
+def test_a_write_that_comes_through_after_all_is_not_taken_for_a_trial(bench: Bench, cause: TrialEvent) -> None:
     bench.into(P.WRITING)
     assert bench.trials.abort(cause, 1.0) == (0,)
     assert not bench.trials.written(0, NEW, 2.0)
@@ -171,8 +173,7 @@ def test_the_cool_down_doubles_with_each_undo_and_a_region_is_locked_after_too_m
 
 
 @pytest.mark.parametrize("cause", [c for c in ABORTS if c not in ROLLBACK_CAUSES], ids=lambda c: c.name)
-def test_what_does_not_speak_against_the_set_neither_doubles_nor_locks(cause: TrialEvent) -> None:
-    bench = Bench()
+def test_what_does_not_speak_against_the_set_neither_doubles_nor_locks(bench: Bench, cause: TrialEvent) -> None:
     for _ in range(10):
         bench.undo(cause)
         bench.t_s = bench.trials.of(0).until_s
@@ -180,8 +181,7 @@ def test_what_does_not_speak_against_the_set_neither_doubles_nor_locks(cause: Tr
     assert bench.trials.of(0).rollbacks == 0
 
 
-def test_an_urgent_change_need_not_wait_for_the_cool_down() -> None:
-    bench = Bench()
+def test_an_urgent_change_need_not_wait_for_the_cool_down(bench: Bench) -> None:
     bench.undo()
     assert not bench.trials.may_change(0, bench.t_s)
     assert bench.trials.may_change(0, bench.t_s, urgent=True)
@@ -225,8 +225,7 @@ def look(bench: Bench, s: LoopSample, region: int = 0, elapsed_s: float = 1.0, *
     return bench.trials.watch(s, region, 0.1, elapsed_s, 5.0, blended=blended)
 
 
-def test_a_trial_waits_while_the_loop_is_elsewhere_unless_the_table_interpolates() -> None:
-    bench = Bench()
+def test_a_trial_waits_while_the_loop_is_elsewhere_unless_the_table_interpolates(bench: Bench) -> None:
     bench.write()
     assert look(bench, sample(1.0), region=1) == {}
     assert bench.trials.phase(0) is P.AWAY
@@ -237,8 +236,7 @@ def test_a_trial_waits_while_the_loop_is_elsewhere_unless_the_table_interpolates
     assert bench.table[0] == OLD
 
 
-def test_a_write_that_is_done_when_the_loop_has_left_waits_for_its_return() -> None:
-    bench = Bench()
+def test_a_write_that_is_done_when_the_loop_has_left_waits_for_its_return(bench: Bench) -> None:
     bench.trials.begin(0, OLD, NEW, PROMISE, 0.0)
     look(bench, sample(1.0), region=1)
     assert bench.trials.written(0, NEW, 1.0)
@@ -278,8 +276,7 @@ def test_what_is_decided_is_not_told(event: TrialEvent) -> None:
 
 
 @pytest.mark.parametrize(("cause", "refuted"), [(E.ORDERED_BACK, False), (E.WORSE, True)])
-def test_a_region_is_idle_after_its_cool_down_but_not_for_gains_like_those_that_were_refuted(cause, refuted):
-    bench = Bench()
+def test_a_region_is_idle_after_its_cool_down_but_not_for_gains_like_those_that_were_refuted(bench, cause, refuted):
     bench.into(P.TRIAL)
     bench.trials.event(0, cause, 0.0)
     bench.trials.restored(0.0)
@@ -291,8 +288,7 @@ def test_a_region_is_idle_after_its_cool_down_but_not_for_gains_like_those_that_
 
 @pytest.mark.parametrize(("mode", "elapsed_s"), [(LoopMode.MANUAL, 1.0), (LoopMode.AUTO, 100.0)])
 @pytest.mark.parametrize(("region", "blended"), [(1, False), (1, True), (0, False), (None, False)])
-def test_manual_and_gaps_do_not_end_the_trial_of_a_set_that_does_not_run(mode, elapsed_s, region, blended):
-    bench = Bench()
+def test_manual_and_gaps_do_not_end_the_trial_of_a_set_that_does_not_run(bench, mode, elapsed_s, region, blended):
     bench.trials.watch(LoopSample(0.0, 1.0, 1.0, 1.0), 1, 0.1, 1.0, 3.0, blended=False)
     bench.into(P.AWAY)
     sample = LoopSample(100.0, 1.0, 1.0, 1.0, mode)
