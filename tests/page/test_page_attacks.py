@@ -2,7 +2,6 @@
 
 import json
 import socket
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -14,22 +13,6 @@ from retuner.serve.address import ServeOptions, is_local, lines, listening, our_
 from retuner.serve.page_access import LASTS_S, LONGEST_S, Bucket
 
 ORDER = {"loop": "demo/1", "order": "mode", "mode": "off", "by": "Mallory"}
-
-
-@pytest.fixture
-def session(tmp_path: Path) -> Iterator[Session]:
-    made = Session(tmp_path / "demo")
-    made.samples(3)
-    yield made
-    made.close()
-
-
-@pytest.fixture
-def served(session: Session) -> Iterator[Served]:
-    made = Served(session.folder)
-    made.look()
-    yield made
-    made.close()
 
 
 def orders(session: Session) -> list[Path]:

@@ -3,7 +3,6 @@
 import asyncio
 import json
 import sqlite3
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -14,22 +13,6 @@ from retuner.report.ledger_words import LedgerLine
 from retuner.serve import hub as hubs
 from retuner.serve.documents import rows_csv
 from retuner.serve.runs import RecordedRuns
-
-
-@pytest.fixture
-def session(tmp_path: Path) -> Iterator[Session]:
-    made = Session(tmp_path / "demo")
-    made.samples(30)
-    yield made
-    made.close()
-
-
-@pytest.fixture
-def served(session: Session) -> Iterator[Served]:
-    made = Served(session.folder.parent)
-    made.look()
-    yield made
-    made.close()
 
 
 def test_the_overview_has_every_loop_and_what_waits_for_a_person(session: Session, served: Served) -> None:
