@@ -19,6 +19,7 @@ from retuner.drivers.protocol.authentication import code_frames, commit_code
 from retuner.drivers.protocol.checksum import commit_crc, lease_stamp, set_crc
 from retuner.drivers.protocol.codec import Codec, schema, schema_lines
 from retuner.drivers.protocol.frames import (
+    NAMES,
     OWNER_TAG,
     PROTOCOL_VERSION,
     Abort,
@@ -31,7 +32,6 @@ from retuner.drivers.protocol.frames import (
     Lease,
     Mode,
     Page,
-    PageEnd,
     PageItem,
     Read,
     Reason,
@@ -363,7 +363,7 @@ def told(line: str) -> str:
         elif name == "item" and isinstance(frame, Stage | PageItem):
             value = Item(value).name.lower()
         parts.append(f"{name} {value}")
-    name = {PageItem: "ITEM", PageEnd: "PAGE"}.get(type(frame), CODEC.name_of(frame))
+    name = next(name for name, kind in NAMES.items() if kind is type(frame))
     return f"{name}: {', '.join(parts)}"
 
 

@@ -133,14 +133,12 @@ class CauseSettings:
     gm_large : gain margin above which a high Ms is the integral's fault; 2 to 6, default 3.0 (SIMC's own is 3.14).
     slack : ratio of SIMC's ki to the one in force from which a loop is sluggish; 1.2 to 3, default 1.3.
     weak : the same of kp; 1.2 to 10, default 1.3.
-    saturated_share : share of limited samples above which nothing is said of the tuning; default 0.5.
     """
 
     ms_high: float = 1.8
     gm_large: float = 3.0
     slack: float = 1.3
     weak: float = 1.3
-    saturated_share: float = 0.5
 
 
 def asks_for_less(told: Diagnosis, settings: CauseSettings) -> bool:

@@ -53,12 +53,11 @@ class StepMethod(StrEnum):
 class RecordedStep:
     """One clean step and the response to it.
 
-    at_s : time of the step. co_change, pv_change : A and B. pv_before : level of pv before it.
+    co_change, pv_change : A and B. pv_before : level of pv before it.
     t_s, pv : the record from the step on, time counted from it, pv smoothed just enough.
     sigma, sigma_left : standard deviation of pv's noise as recorded, and as smoothed.
     """
 
-    at_s: float
     co_change: float
     pv_change: float
     pv_before: float
@@ -105,7 +104,7 @@ def step_response(window: Window, *, rest: bool = True) -> RecordedStep:
         )
     t = window.t_s[i:] - window.t_s[i]
     pv, left = smoothed(window.pv[i:], b)
-    return RecordedStep(float(window.t_s[i]), a, b, before, t, pv, sigma, left)
+    return RecordedStep(a, b, before, t, pv, sigma, left)
 
 
 def model_by(method: StepMethod, response: RecordedStep) -> ProcessModel:

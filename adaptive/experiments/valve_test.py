@@ -68,11 +68,6 @@ class ValveReading:
         return {**{name: getattr(self, name) for name in plain}, **ends, **stroke}
 
 
-def staircase(step: float) -> FloatArray:
-    """Levels of co about where it began, hold by hold, the first one there: shape (n + 1,), co units."""
-    return step * np.concatenate([[0.0], np.cumsum(STAIRCASE)])
-
-
 def read_valve_test(window: Window) -> ValveReading:
     """What the record of a valve test says.
 

@@ -279,10 +279,6 @@ class Misfit:
         engine = compiled()
         return engine.costs(self, points) if engine is not None else [self.solve(p).cost for p in points]
 
-    def residuals(self, p: FloatArray) -> FloatArray:
-        """Residuals in units of sigma: n samples, the priors of the start, the wall of the least damping."""
-        return self.solve(p).r
-
     def jacobian(self, at: Projection) -> FloatArray:
         """Derivative of the residuals by p (Kaufman's approximation), shape (len(residuals), len(p))."""
         engine = compiled()

@@ -161,25 +161,18 @@ def decay_ratio(x: FloatArray) -> float | None:
 
 
 SUPERVISION_PERIODS = 50.0  # supervision time in periods (Hagglund 1995)
-DETECTIONS_LIMIT = 10.0  # count above which the loop oscillates (Hagglund 1995)
 
 
 @dataclass(frozen=True, slots=True)
 class IaeDetection:
     """Outcome of the detector.
 
-    loads : half waves whose IAE exceeds the limit. count : largest value of the forgetting count x.
-    iae_limit : the limit in pv units times seconds.
+    loads : half waves whose IAE exceeds that of half a sine wave. count : largest value of the forgetting count x: over
+    10 the loop oscillates (Hagglund 1995).
     """
 
     loads: int
     count: float
-    iae_limit: float
-
-    @property
-    def oscillates(self) -> bool:
-        """Whether the count passed the limit of ten."""
-        return self.count > DETECTIONS_LIMIT
 
 
 def iae_detection(t_s: FloatArray, e: FloatArray, amplitude: float, w_rad_s: float) -> IaeDetection:
@@ -206,4 +199,4 @@ def iae_detection(t_s: FloatArray, e: FloatArray, amplitude: float, w_rad_s: flo
     for waited_s in np.diff(times, prepend=times[:1]):
         count = count * math.exp(-waited_s / memory_s) + 1
         largest = max(largest, count)
-    return IaeDetection(len(times), largest, limit)
+    return IaeDetection(len(times), largest)

@@ -146,13 +146,12 @@ SMALLEST_MISFIT = 1e-9
 class HalfWaveShape:
     """Shape of the half waves of one signal.
 
-    triangle_index : 0 sine to 1 triangle. relay_index : -1 sine to 1 relay response or triangle. half_waves : how many.
+    triangle_index : 0 sine to 1 triangle. relay_index : -1 sine to 1 relay response or triangle.
     asymmetry : median |apex - 0.5| of the best triangles, 0 to 0.4: 0 for symmetric waves, large for a saw.
     """
 
     triangle_index: float
     relay_index: float
-    half_waves: int
     asymmetry: float
 
 
@@ -175,7 +174,7 @@ def half_wave_shape(x: FloatArray, band: float) -> HalfWaveShape | None:
     best = min(mse[1], mse[2]) ** 0.5
     apex = np.abs(_APEX[np.argmin(triangle, axis=1)] - 0.5)
     index = mse[0] / (mse[0] + mse[1])
-    return HalfWaveShape(index, (mse[0] ** 0.5 - best) / (mse[0] ** 0.5 + best), len(waves), median(apex))
+    return HalfWaveShape(index, (mse[0] ** 0.5 - best) / (mse[0] ** 0.5 + best), median(apex))
 
 
 def _waves(x: FloatArray, at: FloatArray) -> FloatArray:

@@ -393,13 +393,6 @@ class HeldInput:
         self._x = [sum(map(mul, row, x)) + g1 * old + g0 * new for row, g1, g0 in self._rows]
         return float(sum(map(mul, self._out, self._x)) + self.matrices.d * new)
 
-    def over(self, co: FloatArray) -> FloatArray:
-        """pv at the times of n outputs, each held until the next one: shape (n,), the first 0."""
-        found = np.zeros(len(co))
-        for i, held in enumerate(co[:-1].tolist()):
-            found[i + 1] = self.step(held)
-        return found
-
 
 def held_over(a: FloatArray, b: FloatArray, length: float) -> tuple[FloatArray, FloatArray]:
     """exp(A h) and its integral times B over a length h: the augmented exponential of Van Loan (1978).

@@ -6,7 +6,6 @@ import numpy as np
 
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
-from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.region_model.co_curve import CoCurve
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.adaptive.signals.setpoint_steps import SetpointSteps
@@ -101,10 +100,6 @@ class RegionModel:
     def log(self) -> LogModel:
         """The leading structure's."""
         return self.known[0].log.at_bound(self.bound_s)
-
-    def logs(self) -> dict[ProcessType, LogModel]:
-        """The estimates by structure."""
-        return {k.log.type: k.log for k in self.known}
 
 
 def remembered(points: Sequence[RecordPoint], latest: RecordPoint) -> tuple[RecordPoint, ...]:

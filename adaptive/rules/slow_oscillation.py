@@ -25,17 +25,3 @@ def slow_oscillation(period_s: float, tau_i_s: float) -> float:
         if not 0 < value < math.inf:
             raise ValueError(f"{name} = {value} must be positive and finite")
     return FACTOR * (period_s / tau_i_s) ** 2
-
-
-def damping(slope: float, kc: float, tau_i_s: float) -> float:
-    """zeta = 0.5 sqrt(k' Kc tau_I) of the slow poles of a PI loop on an integrating process.
-
-    slope : k' per second. kc : gain. Both of one sign.
-
-    Raises ValueError: tau_i_s is not positive and finite, or k' Kc is not positive.
-    """
-    if not 0 < tau_i_s < math.inf:
-        raise ValueError(f"tau_I = {tau_i_s} must be positive and finite")
-    if not 0 < slope * kc < math.inf:
-        raise ValueError(f"k' Kc = {slope * kc} must be positive: process and controller must act one way")
-    return 0.5 * math.sqrt(slope * kc * tau_i_s)

@@ -26,13 +26,11 @@ class Layout:
     """Sets of gains along the variable.
 
     lookup : hard or interpolated. edges : lower end, borders, upper end. sets : one for each part between them.
-    room : how far each border may move either way with both neighbours' sets still serving; 0 for interpolation.
     """
 
     lookup: Lookup
     edges: tuple[float, ...]
     sets: tuple[PidGains, ...]
-    room: tuple[float, ...] = ()
 
     def part(self, x: float, x2: float | None = None) -> int:
         """The set in whose part x lies. x2 : there is no second variable."""
@@ -75,13 +73,12 @@ def borders_of_fewest_sets(places: Sequence[Place], limits: DesignLimits, most: 
         chosen.append(max(fitting, key=lambda reach: (reach[1], -reach[0])))
         covered = chosen[-1][1]
     # borders in the middle of what neighbours share
-    bounds, room = [], []
+    bounds = []
     for (_, last, _), (first, _, _) in pairwise(chosen):
         low, high = places[min(first, last)].x, places[last].x
         bounds.append((low + high) / 2)
-        room.append((high - low) / 2)
     edges = (places[0].x, *bounds, places[-1].x)
-    return Layout(Lookup.HARD, edges, tuple(gains for *_, gains in chosen), tuple(room))
+    return Layout(Lookup.HARD, edges, tuple(gains for *_, gains in chosen))
 
 
 def _reach(places: Sequence[Place], at: int, gains: PidGains, limits: DesignLimits) -> tuple[int, int]:
@@ -192,4 +189,4 @@ def _knotted(places: Sequence[Place], way: Sequence[Knot]) -> Layout | None:
         for c in centres:
             one.append(2 * c - one[-1])
     edges = min(tried, key=lambda e: max(low - e[0], 0.0) ** 2 + max(e[-1] - high, 0.0) ** 2)
-    return Layout(Lookup.INTERPOLATED, tuple(edges), sets, (0.0,) * (len(centres) - 1))
+    return Layout(Lookup.INTERPOLATED, tuple(edges), sets)

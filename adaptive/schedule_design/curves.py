@@ -49,7 +49,7 @@ class Curves:
     """What the records say of the process along a variable.
 
     form, z : the curves. rich, covariance : the richest form, and how well its coefficients are known round these.
-    joint, noise, now : the fit behind them. log_likelihood : of the white remainder, by which variables are compared.
+    joint, now : the fit behind them. log_likelihood : of the white remainder, by which variables are compared.
     evidence : ln E of the shapes over that of a constant process. weight : ln E among other structures. rest : the co
     that holds each place. differences : standard deviation of each ln p between the stretches, beside the curves.
     second_evidence : ln E of the shapes over the best in which nothing changes with the second variable.
@@ -60,7 +60,6 @@ class Curves:
     rich: CurveForm
     covariance: FloatArray
     joint: Joint
-    noise: Noise
     now: At
     log_likelihood: float
     evidence: float
@@ -164,7 +163,6 @@ def _chosen(rich: Fit, c: float) -> Curves:
         rich=form,
         covariance=told.covariance,
         joint=fit[0],
-        noise=noise,
         now=fit[3],
         log_likelihood=_innovations(fit),
         evidence=told.evidence,

@@ -46,13 +46,12 @@ class Local(NamedTuple):
 class Batch:
     """Stretches of like length beside each other, the shorter ones filled up. Shapes (rows, stretches).
 
-    pv, x, x2 : filled with their last value. inside : which rows are real. h_s : of each stretch, shape (stretches,).
+    pv, x, x2 : filled with their last value. h_s : of each stretch, shape (stretches,).
     """
 
     stretches: tuple[Stretch, ...]
     pv: FloatArray
     x: FloatArray
-    inside: np.ndarray[tuple[int, int], np.dtype[np.bool_]]
     h_s: FloatArray
     x2: FloatArray | None = None
 
@@ -62,9 +61,8 @@ class Batch:
         rows = max(len(s) for s in stretches)
         pv, x = (_filled([getattr(s, name) for s in stretches], rows) for name in ("pv", "x"))
         seconds = [s.x2 for s in stretches if s.x2 is not None]
-        inside = np.stack([np.arange(rows) < len(s) for s in stretches], axis=1)
         h = np.array([s.signals.h_s for s in stretches])
-        return cls(tuple(stretches), pv, x, inside, h, _filled(seconds, rows) if seconds else None)
+        return cls(tuple(stretches), pv, x, h, _filled(seconds, rows) if seconds else None)
 
     def arriving(
         self, theta_s: FloatArray, characteristic: Characteristic | None = None, z: FloatArray | None = None

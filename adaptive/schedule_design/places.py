@@ -68,7 +68,6 @@ class Place:
 
     x: float
     model: ProcessModel
-    allowed: tuple[ProcessModel, ...]
     processes: tuple[LinearProcess, ...]
     ln_std: tuple[float, ...]
     gain_std: float
@@ -175,7 +174,7 @@ def place_on(
     own = robust_simc_on(model, [Plausible(m, OUT**2) for m in allowed], sample_time_s, settings).tuning.gains
     seen = tuple(m.seen_by_controller(sample_time_s).linear() for m in (model, *allowed))
     known = gain_std <= limits.std and all(sensitivity_peak(m, own) <= MOST_MS for m in seen)
-    return Place(x, model, allowed, seen, ln_std, gain_std, known, own, iae(model, own, sample_time_s), sample_time_s)
+    return Place(x, model, seen, ln_std, gain_std, known, own, iae(model, own, sample_time_s), sample_time_s)
 
 
 def moved(ln: FloatArray, way: FloatArray) -> FloatArray:

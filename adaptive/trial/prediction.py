@@ -151,15 +151,6 @@ class Prediction:
             float(body.get("moved", 0.0)),
         )
 
-    def sentence(self) -> str:
-        """The prediction in a sentence for people."""
-        now, then = self.setpoint, self.setpoint_before
-        return (
-            f"predicted: overshoot {_percent(now.overshoot)} (was {_percent(then.overshoot)}); half-cycle decay ratio "
-            f"at most {max(now.decay.high, self.load_step.decay.high):.2f}; IAE {_ratio(now.iae, then.iae)} of the "
-            f"previous after a setpoint step, {_ratio(self.load_step.iae, self.load_before.iae)} after a load step"
-        )
-
 
 def predict(
     allowed: Iterable[Plausible],
@@ -225,14 +216,3 @@ def _load(shapes: Sequence[Sequence[ResponseNumbers]]) -> Expected:
     pulses = [row[2].decay for row in shapes]
     decay = found.decay
     return replace(found, decay=Spread(decay.best, min(decay.low, *pulses), max(decay.high, *pulses)))
-
-
-def _percent(spread: Spread) -> str:
-    return f"{spread.best:.0%} ({spread.low:.0%} to {spread.high:.0%})"
-
-
-def _ratio(now: Spread, then: Spread) -> str:
-    """How one IAE stands to another, both on the best model."""
-    if not math.isfinite(now.best) or not math.isfinite(then.best):
-        return "not known"
-    return f"{now.best / then.best:.0%}"

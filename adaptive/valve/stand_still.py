@@ -103,7 +103,7 @@ class StandStill:
     """What the plateaus of a record show.
 
     legs : that count. slips_s, agreed : when pv went to another level, and how many of these times co had gone there.
-    ends_s : those of the latter that end a leg. silent_s : setpoint steps that were answered late and then at once.
+    ends_s : those of the latter that end a leg.
     stands, sticks, dead : the verdicts. degree : how far it stands, 0 to 1. quick : how far its slips are no loop's.
     rows, sigma, criterion : of the steps; see plateaus.py.
     """
@@ -112,7 +112,6 @@ class StandStill:
     slips_s: tuple[float, ...]
     agreed: int
     ends_s: tuple[float, ...]
-    silent_s: tuple[float, ...]
     stands: bool
     sticks: bool
     dead: bool
@@ -171,7 +170,6 @@ def stand_still(window: Window, gains: PidGains, settings: StandStillSettings) -
         tuple(float(rows.t_s[s]) for s in slips),
         len(agreed),
         tuple(_ends(agreed, counted)),
-        tuple(silent),
         stands,
         stands and quick >= 1.0,
         dead and not slips,
@@ -278,13 +276,13 @@ def _ends(agreed: Sequence[float], legs: Sequence[Leg]) -> list[float]:
     return [slip for last, slip in pairs if any(last < leg.end_s <= slip for leg in legs)]
 
 
-def _silent(rows: Window, steps: Steps, tau_i: float, settings: StandStillSettings) -> tuple[list[float], float]:
-    """Setpoint steps after which pv did not move for long while co did, and did move in the end, s; and the squares of
-    those that it has not answered yet, as far as it was long enough.
+def _silent(rows: Window, steps: Steps, tau_i: float, settings: StandStillSettings) -> tuple[bool, float]:
+    """Whether pv did not move for long after a setpoint step while co did, and did move in the end; and the squares of
+    the steps that it has not answered yet, as far as it was long enough.
     """
     changes = runs(np.diff(rows.sp) != 0)
     co_range = float(np.ptp(rows.co))
-    answered_s, squares = [], 0.0
+    answered_late, squares = False, 0.0
     for (first, at), (until, _) in pairwise([*changes, (len(rows.sp) - 1, 0)]):
         step = float(rows.sp[at] - rows.sp[first])
         if not step:  # the setpoint came back at once
@@ -299,6 +297,5 @@ def _silent(rows: Window, steps: Steps, tau_i: float, settings: StandStillSettin
         if abs(step) <= settings.step_sigmas * steps.sigma or not answers.size or answers[0] < settings.silent * tau_i:
             continue
         travel = abs(float(rows.co[at + answers[0]] - rows.co[at]))
-        if travel > settings.pushed * co_range:
-            answered_s.append(float(rows.t_s[at]))
-    return answered_s, squares
+        answered_late |= travel > settings.pushed * co_range
+    return answered_late, squares

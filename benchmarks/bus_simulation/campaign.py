@@ -104,8 +104,8 @@ class World:
         """Frames to a host with exactly one thing wrong."""
         way, device, client = self.bus.ways[host.name], self.device, host.device
         misread(way, self.rng)
-        if client is not None and client.write_seq is not None:
-            of_another_epoch(way, self.rng, device.settings.node, device.epoch, host.owner, client.write_seq)
+        if client is not None and client.write.seq is not None:
+            of_another_epoch(way, self.rng, device.settings.node, device.epoch, host.owner, client.write.seq)
 
     def clear_up(self) -> None:
         """No faults from now on."""

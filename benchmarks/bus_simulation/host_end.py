@@ -139,7 +139,7 @@ class HostEnd:
                 self.side.tells(event)
                 self._event(event)
             # A write whose lease ran out goes on under another number
-            seq = self.device.write_seq if self.device is not None else None
+            seq = self.device.write.seq if self.device is not None else None
             if self.order is not None and seq not in {None, self.order.seq}:
                 self.order = self.order._replace(seq=seq)
                 self.truth.ordered(self.order)

@@ -6,7 +6,7 @@ from typing import Any, Protocol
 import can
 
 from retuner.drivers.device import LinkState
-from retuner.schedule.late_dataclass import dataclass, field, fields
+from retuner.schedule.late_dataclass import dataclass, field
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,10 +58,6 @@ class LinkCounters:
     opened: int = 0
     overflows: int = 0
     log_failures: int = 0
-
-    def to_dict(self) -> dict[str, int]:
-        """Counter name to count."""
-        return {f.name: getattr(self, f.name) for f in fields(self)}
 
 
 class FramePort(Protocol):

@@ -140,11 +140,6 @@ class CanDevice:
         return self.write.busy
 
     @property
-    def write_seq(self) -> int | None:
-        """Number of the set that is being written; None when none is."""
-        return self.write.seq
-
-    @property
     def epoch(self) -> int | None:
         """Boot epoch of the device, as read-back has proved it."""
         return self._belief.epoch

@@ -20,7 +20,6 @@ HALF_BITS = 48
 NONCE_BITS = 48
 HALF = (1 << HALF_BITS) - 1
 SEQ_TAG = 16  # AUTH carries the sequence modulo this
-KEY_BYTES_MIN = 16
 HALVES_KEPT = 4  # of each part: a forged half does not displace the right one
 
 

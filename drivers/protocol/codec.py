@@ -425,10 +425,6 @@ class Codec:
             data[-1] = frame_crc(id_, data[:-1])
         return _Encoded(arbitration_id=id_, is_extended_id=False, data=data)
 
-    def name_of(self, frame: Frame) -> str:
-        """The frame's name in the DBC."""
-        return str(self._by_type[type(frame)][1].layout.name)
-
     def decode(self, message: can.Message) -> Frame | Refused:
         """The frame in a message, or why there is none."""
         id_, data = message.arbitration_id, message.data

@@ -53,10 +53,11 @@ def learned_from(
 def test_the_filters_posterior_is_the_fits_own(loop: Callable) -> None:
     _, second = records(loop, 2)
     region_model = learned_from(loop, 5, STILL)[0]
-    estimate = identify_window(second, 1, region_model.logs(), FIT)
+    logs = {known.log.type: known.log for known in region_model.known}
+    estimate = identify_window(second, 1, logs, FIT)
     own = estimate.log
     assert own.type == ProcessType.FOPDT
-    _, posterior = update(region_model.logs()[own.type], estimate)
+    _, posterior = update(logs[own.type], estimate)
     sigma = np.sqrt(np.diag(own.p))
     np.testing.assert_allclose(posterior.x / sigma, own.x / sigma, atol=0.03)
     np.testing.assert_allclose(posterior.p, own.p, rtol=1e-6, atol=1e-9)
@@ -167,7 +168,7 @@ def test_the_posterior_is_the_joint_fit_of_all_records(loop: Callable) -> None:
 
     def residuals(p: FloatArray) -> FloatArray:
         parts = zip(misfits, sizes, sizes[1:], strict=False)
-        return np.concatenate([m.residuals(np.concatenate([p[:3], p[a:b]])) for m, a, b in parts])
+        return np.concatenate([m.solve(np.concatenate([p[:3], p[a:b]])).r for m, a, b in parts])
 
     joint = least_squares(residuals, np.concatenate([region_model.log.x, *loads]), x_scale="jac").x[:3]
     assert region_model.log.type == ProcessType.FOPDT

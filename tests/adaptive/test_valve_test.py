@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from command_line import printed, refused
 
-from retuner.adaptive.experiments.valve_test import STAIRCASE, read_valve_test, staircase, valve_positions
+from retuner.adaptive.experiments.valve_test import STAIRCASE, read_valve_test, valve_positions
 from retuner.adaptive.loop.simulate import HeldInput
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import Window
 from retuner.cli import main
 
 STEP, HOLD = 0.5, 40
+LEVELS = STEP * np.concatenate([[0.0], np.cumsum(STAIRCASE)])
 FLOW = ProcessModel(ProcessType.FOPDT, 2.0, 10.0, theta_s=3.0)
 TANK = ProcessModel(ProcessType.INTEGRATING, 0.05, theta_s=3.0)
 
@@ -20,7 +21,7 @@ TANK = ProcessModel(ProcessType.INTEGRATING, 0.05, theta_s=3.0)
 def record(dead_band: float, resolution: float, seed: int, model: ProcessModel = FLOW, noise: float = 0.1) -> Window:
     """A test by hand with steps of 0.5 on a valve of that kind, which stands anywhere in its play at first."""
     rng, plant = np.random.default_rng(seed), HeldInput(model.linear(), 1.0)
-    co = np.repeat(50.0 + staircase(STEP), HOLD)
+    co = np.repeat(50.0 + LEVELS, HOLD)
     p = x = 50.0 + rng.uniform(-0.5, 0.5) * dead_band
     pv, moved = [], 0.0
     for u in co.tolist():
@@ -35,9 +36,8 @@ def record(dead_band: float, resolution: float, seed: int, model: ProcessModel =
 
 def test_the_staircase_leads_back_and_a_sound_valve_follows_it() -> None:
     assert sum(STAIRCASE) == 0
-    levels = staircase(STEP)
-    assert valve_positions(levels, 0.0, 0.0) == pytest.approx(levels)
-    assert np.ptp(valve_positions(levels, 1.0, 0.0)) == pytest.approx(np.ptp(levels) - 1.0)
+    assert valve_positions(LEVELS, 0.0, 0.0) == pytest.approx(LEVELS)
+    assert np.ptp(valve_positions(LEVELS, 1.0, 0.0)) == pytest.approx(np.ptp(LEVELS) - 1.0)
 
 
 @pytest.mark.slow

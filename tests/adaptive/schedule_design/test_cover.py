@@ -28,7 +28,7 @@ def place(x: float, k: float, *, known: bool = True) -> Place:
     model = ProcessModel(ProcessType.FOPDT, k, 20.0, 0.0, 5.0)
     own = simc(model.seen_by_controller(DT)).gains
     seen = (model.seen_by_controller(DT).linear(),)
-    return Place(x, model, (), seen, (0.02, 0.02, 0.02), 0.03 if known else 1.0, known, own, iae(model, own, DT), DT)
+    return Place(x, model, seen, (0.02, 0.02, 0.02), 0.03 if known else 1.0, known, own, iae(model, own, DT), DT)
 
 
 def along(factor: float, n: int = 11) -> list[Place]:

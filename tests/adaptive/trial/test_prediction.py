@@ -61,7 +61,6 @@ def test_a_loop_that_runs_away_promises_nothing() -> None:
     assert math.isinf(found.setpoint.iae.best)
     assert found.load_step.decay.best >= 1.0
     assert math.isinf(found.patience_s)
-    assert "not known" in found.sentence()
 
 
 def test_the_spread_holds_every_allowed_model_and_the_best_one_is_first() -> None:
@@ -102,7 +101,6 @@ def test_plain_values_and_back() -> None:
         predict([Plausible(FOPDT, 0.0)], good, good),
     ):
         assert Prediction.from_dict(json.loads(json.dumps(found.to_dict(), allow_nan=False))) == found
-    assert "of the previous after a setpoint step" in predict([Plausible(FOPDT, 0.0)], good, good).sentence()
 
 
 @pytest.mark.parametrize("values", [(1.0, 2.0, 3.0), (1.0, 0.0, 0.5), (math.nan, 0.0, 1.0)])
