@@ -19,14 +19,12 @@ from retuner.adaptive.signals.sample import Window
 from retuner.schedule.gains import PidGains
 
 
-def doubt_of_settings(
-    window: Window, gains: PidGains, settings: OddsSettings | None = None, *, by_parts: bool = False
-) -> str:
+def doubt_of_settings(window: Window, gains: PidGains, *, by_parts: bool = False) -> str:
     """Why settings that follow from one model do not hold under every load, in a sentence; empty where they do.
 
     window, gains : see share_over. by_parts : the model is that of parts of the record.
     """
-    settings = settings or OddsSettings()
+    settings = OddsSettings()
     share = share_over(window, gains, settings.identified_ms, settings)
     if share <= (settings.worth.bad_share if by_parts else settings.identified_most):
         return ""

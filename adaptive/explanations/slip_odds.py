@@ -220,4 +220,4 @@ def _settled(trial: TriedSlips, co: Co) -> TriedSlips:
 def _moved(at: Slips, which: int, n: int) -> list[Slips]:
     """One slip earlier or later, between its neighbours; or left out, alone and with the next one."""
     without = [at.rows[:which] + at.rows[which + count :] for count in (1, 2)]
-    return one_moved(at, which, n, MOVES) + [replace(at, rows=one) for one in without if len(one) >= FEWEST]
+    return one_moved(at, which, n) + [replace(at, rows=one) for one in without if len(one) >= FEWEST]

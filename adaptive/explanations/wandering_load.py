@@ -447,15 +447,14 @@ def temper(share: float) -> float:
     return 1.0 / ((1.0 - share) / T_LOADS + share / T_SETPOINT)
 
 
-def log_likelihood(record: Prepared, direction: int, gain_unit: float, lags: tuple[float, ...] = LAGS) -> FloatArray:
+def log_likelihood(record: Prepared, direction: int, gain_unit: float) -> FloatArray:
     """Tempered log-likelihood of every process of the grid, loads and noise summed over.
 
-    direction : sign of the process gain. gain_unit : loop gains are counted by it (process_grid.gain_unit). lags : the
-    first ones; EVERY_LAG for processes that run away besides.
+    direction : sign of the process gain. gain_unit : loop gains are counted by it (process_grid.gain_unit).
     Returns shape (shapes, dead times, gains); the largest is not zero: differences between records count.
     """
     no_tones = np.zeros((0, len(record.pv)))
-    return np.asarray(log_likelihoods(record, direction, gain_unit, no_tones, (0,), lags)[0][0])
+    return np.asarray(log_likelihoods(record, direction, gain_unit, no_tones, (0,))[0][0])
 
 
 def log_likelihoods(

@@ -29,12 +29,12 @@ MOST_APART = 1.0
 uncertain by a factor of 1.28."""
 
 
-def identify_parts(window: Window, sign: int | None, settings: FitSettings | None = None) -> ModelEstimate | None:
+def identify_parts(window: Window, sign: int | None) -> ModelEstimate | None:
     """The process behind a record by its parts; None where these do not know it together either.
 
     sign : of the process gain, where it is known.
     """
-    settings = settings or FitSettings()
+    settings = FitSettings()
     parts = [part for part in parts_of(window, settings.most_samples) if np.ptp(part.pv) > 0 and np.ptp(part.co) > 0]
     if len(parts) < FEWEST_PARTS:
         return None

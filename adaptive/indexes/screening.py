@@ -106,10 +106,13 @@ def _symbols(x: FloatArray) -> FloatArray:
 # alike.
 
 
-def cross_correlation(pv: FloatArray, co: FloatArray, band: float = 0.02) -> tuple[float, float] | None:
+NO_CORRELATION = 0.02  # correlations within this share of the largest one count as zero
+
+
+def cross_correlation(pv: FloatArray, co: FloatArray) -> tuple[float, float] | None:
     """Horch's dtau and drho, 0 even to 1 odd; None where the correlation does not cross zero on both sides of lag 0.
 
-    pv, co : an oscillating record, shape (n,). band : correlations within +-band of the largest one count as zero.
+    pv, co : an oscillating record, shape (n,).
 
     Source: Horch (1999), Control Engineering Practice 7, 1221-1231.
     """
@@ -122,7 +125,7 @@ def cross_correlation(pv: FloatArray, co: FloatArray, band: float = 0.02) -> tup
     largest = float(np.max(np.abs(r)))
     if largest <= 0:
         return None
-    at = crossings(r, band * largest) - reach
+    at = crossings(r, NO_CORRELATION * largest) - reach
     left, right = at[at < 0], at[at >= 0]
     if not left.size or not right.size:
         return None
@@ -351,18 +354,15 @@ LARGEST = 0.05  # share of the increments that counts as jumps
 FEWEST_INCREMENTS = 40  # increments needed: two jumps in a twentieth
 
 
-def jump_share(pv: FloatArray, co: FloatArray, width: int = 1) -> float | None:
-    """Jump share of pv over that of co, -1 to 1; None for short or constant signals.
-
-    pv, co : shape (n,). width : samples over which increments are taken.
-    """
-    own = [_in_largest(x, width) for x in (pv, co)]
+def jump_share(pv: FloatArray, co: FloatArray) -> float | None:
+    """Jump share of pv over that of co, -1 to 1, shapes (n,); None for short or constant signals."""
+    own = [_in_largest(x) for x in (pv, co)]
     return None if own[0] is None or own[1] is None else own[0] - own[1]
 
 
-def _in_largest(x: FloatArray, width: int) -> float | None:
+def _in_largest(x: FloatArray) -> float | None:
     """Share of the travel in the largest increments."""
-    steps = np.sort(np.abs(np.diff(x[::width])))
+    steps = np.sort(np.abs(np.diff(x)))
     travel = float(np.sum(steps))
     if len(steps) < FEWEST_INCREMENTS or travel <= 0:
         return None

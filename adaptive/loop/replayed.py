@@ -78,13 +78,12 @@ def replayed(
     process: LinearProcess,
     gains: PidGains,
     co_limits: tuple[float | None, float | None] = (None, None),
-    tau_f_s: float | None = None,
 ) -> ReplayedRecord:
     """The record with these settings in the loop, from the first sample on, taken over without a bump.
 
     window : on an even grid (`even`). process : that was identified on it. gains : the settings to try.
-    co_limits : lowest and highest co, co units; None where there is none. tau_f_s : filter time of the derivative; None
-        for a tenth of the derivative time.
+    co_limits : lowest and highest co, co units; None where there is none. The derivative is filtered by a tenth of
+        its time.
 
     Raises ValueError: the process has more zeros than poles, or the limits leave no room.
     """
@@ -93,7 +92,7 @@ def replayed(
     room = 1e6 * max(float(np.ptp(window.co)), 1.0)
     low = float(np.min(window.co)) - room if co_limits[0] is None else co_limits[0]
     high = float(np.max(window.co)) + room if co_limits[1] is None else co_limits[1]
-    filter_s = tau_f_s if tau_f_s is not None else (gains.kd / gains.kp / 10.0 if gains.kp else 0.0)
+    filter_s = gains.kd / gains.kp / 10.0 if gains.kp else 0.0
     pid = law(gains, tau_f_s=max(filter_s, 0.0), co_min=low, co_max=high)
     was = list(zip(window.sp.tolist(), window.pv.tolist(), window.co.tolist(), strict=True))
     far = WILD * max(float(np.ptp(window.pv)), float(np.ptp(window.sp)), 1e-9)

@@ -308,7 +308,7 @@ def _varied(trial: TriedSlips, co: Co) -> Slips:
     trial.better([replace(at, share=share) for share in shares])
     trial.better([replace(trial.at, first=float(co.u[0]) + part * typical) for part in STARTS])
     for i in range(len(at.rows)):
-        trial.better(one_moved(trial.at, i, n, MOVES))
+        trial.better(one_moved(trial.at, i, n))
     for row in trial.at.rows:
         trial.better([replace(trial.at, rows=tuple(r for r in trial.at.rows if r != row))])
     while len(trial.at.rows) < MOST_SLIPS and trial.better(with_one_more(trial.at, n, TRIED)):
@@ -316,10 +316,10 @@ def _varied(trial: TriedSlips, co: Co) -> Slips:
     return trial.at
 
 
-def one_moved(at: Slips, which: int, n: int, moves: Sequence[int]) -> list[Slips]:
+def one_moved(at: Slips, which: int, n: int) -> list[Slips]:
     """One slip of n rows earlier or later, between its neighbours."""
     before, row, after = (0, *at.rows, n)[which : which + 3]
-    moved = [row + move for move in moves if before < row + move < after]
+    moved = [row + move for move in MOVES if before < row + move < after]
     return [replace(at, rows=(*at.rows[:which], row, *at.rows[which + 1 :])) for row in moved]
 
 

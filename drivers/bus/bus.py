@@ -402,7 +402,6 @@ class CanLink(Closes):
 
     def _fail(self, fault: LinkFault) -> None:
         """Close the bus and wait with the next attempt."""
-        self.counters.failures += 1
         self.faults.note(fault)
         self._shut()
         self._back_off()
@@ -445,13 +444,9 @@ class CanLink(Closes):
 
     def _write_log(self, message: can.Message, *, received: bool) -> None:
         if self._log is not None and not self._log.write(message, received=received):
-            self._log_failed()
+            self.faults.note(LinkFault.LOG)
 
     def _stop_log(self) -> None:
         """End the log; what cannot be written any more is lost."""
         if self._log is not None and not self._log.stop():
-            self._log_failed()
-
-    def _log_failed(self) -> None:
-        self.counters.log_failures += 1
-        self.faults.note(LinkFault.LOG)
+            self.faults.note(LinkFault.LOG)

@@ -54,10 +54,8 @@ class LinkCounters:
     echoes: int = 0
     error_frames: int = 0
     garbage: int = 0
-    failures: int = 0
     opened: int = 0
     overflows: int = 0
-    log_failures: int = 0
 
 
 class FramePort(Protocol):

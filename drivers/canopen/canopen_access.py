@@ -78,7 +78,6 @@ class CanOpenAccess:
         self._watched: dict[str, _Watch] = {}
         self._queue: list[can.Message] = []
         self._beat_s = float("-inf")
-        self.damaged = 0
         self._read["pv"] = self._place(mapping.pv, ("pv",))
         self._read["co"] = self._place(mapping.co, ("co",))
         if mapping.sp is not None:
@@ -177,7 +176,6 @@ class CanOpenAccess:
         told: list[Told] = [Alive()]
         for name, entry in entries:
             if entry.first + entry.bits > 8 * len(data) or entry.bits % 8:
-                self.damaged += 1
                 return ()
             part = whole >> entry.first & ((1 << entry.bits) - 1)
             told += self._number(name, entry.variable, part.to_bytes(entry.bits // 8, "little"))
@@ -189,7 +187,6 @@ class CanOpenAccess:
         except (ObjectDictionaryError, ValueError):
             value = None
         if not isinstance(value, int | float) or not abs(value) < float("inf"):
-            self.damaged += 1
             return ()
         watch = self._watched.get(name)
         if watch is None:

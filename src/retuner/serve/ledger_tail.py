@@ -48,7 +48,6 @@ class LedgerTail:
         self.decisions: deque[Decided] = deque(maxlen=DECISIONS_KEPT)
         self.shown: dict[str, OrderState] = {}
         self.ended = False
-        self.interrupted = False
 
     def read_on(self) -> int:
         """Take in what has come; the number of new rows. A row that cannot be believed ends the reading."""
@@ -78,7 +77,7 @@ class LedgerTail:
             if row.kind == "decision":
                 self.decisions.append(Decided(row))
             elif row.kind == "end":
-                self.ended, self.interrupted = True, bool(body.get("interrupted"))
+                self.ended = True
             taken += 1
         return taken
 
