@@ -48,6 +48,7 @@ class LedgerTail:
         self.decisions: deque[Decided] = deque(maxlen=DECISIONS_KEPT)
         self.shown: dict[str, OrderState] = {}
         self.ended = False
+        self.interrupted = False
 
     def read_on(self) -> int:
         """Take in what has come; the number of new rows. A row that cannot be believed ends the reading."""
@@ -77,7 +78,7 @@ class LedgerTail:
             if row.kind == "decision":
                 self.decisions.append(Decided(row))
             elif row.kind == "end":
-                self.ended = True
+                self.ended, self.interrupted = True, bool(body.get("interrupted"))
             taken += 1
         return taken
 
