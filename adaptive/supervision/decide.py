@@ -264,12 +264,12 @@ def gains_that_win(found: Findings, own: Outcome) -> Outcome:
     1. Those that follow from the response, with the models of its region.
     2. None, where the book of all samples speaks against these.
     3. Those of the book, where there are none by now, and it is one to ask. The book does not ask for more action where
-       the response by itself asked for less: it may be wrong in what it objects to.
+       a clear response by itself asked for less: it may be wrong in what it objects to.
 
     How far the model's gains go is weighed before, by `worth`.
     """
     seen, winner = all_samples(found, own), own
-    less = own.changes and own.asks_for_less(found.record.in_force)
+    less = own.changes and found.clear and own.asks_for_less(found.record.in_force)
     if winner.changes:
         winner = objection(found, winner, seen) or winner
     if not winner.changes and not (less and seen.told is not None and seen.told.leans > 0):

@@ -998,9 +998,11 @@ def test_a_window_shorter_than_the_interval_of_the_book_says_nothing() -> None:
     assert update(slow, short) == slow
 
 
-@pytest.mark.parametrize(("kp", "leans", "asked"), [(0.5, 1, 0), (0.5, -1, 1), (1.5, 1, 1)])
-def test_a_response_that_asked_for_less_is_no_reason_for_more(
-    kp: float, leans: int, asked: int, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("kp", "leans", "clear", "asked"), [(0.5, 1, True, 0), (0.5, 1, False, 1), (0.5, -1, True, 1), (1.5, 1, True, 1)]
+)
+def test_a_clear_response_that_asked_for_less_is_no_reason_for_more(
+    kp: float, leans: int, asked: int, monkeypatch: pytest.MonkeyPatch, *, clear: bool
 ) -> None:
     """Of pure dead time the book was wrong: clear responses asked for less, and it took Ms from 1.95 to 2.53."""
     proof: Any = SimpleNamespace(accepted=True, gains=PidGains(kp, 0.05))
@@ -1011,6 +1013,6 @@ def test_a_response_that_asked_for_less_is_no_reason_for_more(
     monkeypatch.setattr(decide, "all_samples", lambda *_: seen)
     monkeypatch.setattr(decide, "objection", lambda *_: refused)
     monkeypatch.setattr(decide, "proposal_by_all_samples", lambda *_: proposals.append(1))
-    found: Any = SimpleNamespace(record=SimpleNamespace(in_force=PidGains(1.0, 0.05)))
+    found: Any = SimpleNamespace(record=SimpleNamespace(in_force=PidGains(1.0, 0.05)), clear=clear)
     assert decide.gains_that_win(found, own) is refused
     assert len(proposals) == asked
