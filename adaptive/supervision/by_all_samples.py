@@ -24,8 +24,9 @@ from retuner.adaptive.choice.expected_cost import ChoiceNumbers, percent
 from retuner.adaptive.decision_numbers import NO_NUMBERS, Basis
 from retuner.adaptive.diagnosis.cause import MOST, Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
-from retuner.adaptive.explanations.book import MOST_ROOM, MS_OF_ROOM, Book, doubted, heard, update
-from retuner.adaptive.explanations.likely_processes import cost_on
+from retuner.adaptive.explanations.book import MOST_ROOM, MS_OF_ROOM, ODD, Book, doubted, heard, update
+from retuner.adaptive.explanations.likely_processes import cost_on, expected_cost
+from retuner.adaptive.explanations.process_grid import EVERY_LAG
 from retuner.adaptive.explanations.settings_by_book import BookSettings, ByBook, bears, by_book, gain, lets_go, shares
 from retuner.adaptive.explanations.tone import tone_of
 from retuner.adaptive.explanations.wandering_load import TEMPER, Prepared, lead_of_steps, log_likelihoods
@@ -407,10 +408,16 @@ def _proved_by_all_samples(found: Findings, own: Outcome, seen: AllSamples) -> O
         )
         if stays - goes < settings.book.worth:
             return None
-    if less and lets_go(book.drawn(settings.book.drawn), record.in_force, proof.gains, settings.book):
+    drawn = book.drawn(settings.book.drawn)
+    if less and lets_go(drawn, record.in_force, proof.gains, settings.book):
+        return None
+    # Limits may leave a part of what was chosen that is worth nothing, or less: an action held, the other one cut
+    stays, goes = (expected_cost(drawn, one, settings.book.cost)[0] for one in (record.in_force, proof.gains))
+    worth = stays - goes
+    if worth < settings.book.worth * proof.step:
         return None
     cause, odds, what = _cause_of(told, book, record.in_force, proof.gains, settings.book)
-    words = f"{told.words}; {what} is expected to be worth {told.numbers.book_worth:.0%}"
+    words = f"{told.words}; {what} is expected to be worth {worth:.0%}"
     if own.code != LOOKED:
         words = f"{words} (this response by itself: {own.reason})"
     change = replace(

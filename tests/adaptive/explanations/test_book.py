@@ -875,7 +875,10 @@ def test_what_the_setpoint_has_told_speaks_beside_any_model_that_no_clear_step_h
 def _follows(
     records: int, times: float, room: float, *, shown: bool = False, identifiable: bool = True, by_loads: bool = False,
 ) -> bool:  # fmt: skip
-    """Whether more action follows from a book of K that leans to it, with models of responses of so many times K."""
+    """Whether more action follows from a book of K that leans to it, with models of responses of so many times K.
+
+    held : the guard's limits leave next to nothing of it.
+    """
     now = scaled(0.25)
     book = replace(after(now, 3), leans=1)
     told = by_book(book, now, SETTINGS)
@@ -890,6 +893,7 @@ def _follows(
     question: Any = SimpleNamespace(record=record, settings=RetunerSettings(1.0, 100.0))
     look = Look(book, recorded(now, 5), grows=True, limited=0.0)
     with pytest.MonkeyPatch.context() as patched:
+    held: bool = False,
         patched.setattr(by_all_samples.KnownProcesses, "borders", lambda *_: ())
         patched.setattr(by_all_samples, "runaway", lambda *_: None)
         dropped: Any = SimpleNamespace()
@@ -908,6 +912,9 @@ def test_a_tone_that_a_response_is_diagnosed_as_counts_in_the_book(cause: Cause,
     tones = []
     for told in (None, Diagnosis(cause, 0.5, {}, "")):
         found = put_to_the_book(2.6, 1.0, None, shown=False, code="unknown", diagnosis=told)
+        if held:
+            limited: Any = SimpleNamespace(accepted=True, gains=scaled(0.26), step=1.0, code="accepted")
+            patched.setattr(by_all_samples, "prove", lambda *_: limited)
         assert found.book is not None
         tones.append(found.book.tone)
     assert (tones[1] > 1.2 * tones[0]) is more
@@ -917,6 +924,12 @@ def test_a_tone_that_a_response_is_diagnosed_as_counts_in_the_book(cause: Cause,
 def test_more_action_needs_a_good_ms(moved: float, ms_good: float, *, enough: bool) -> None:
     now = scaled(0.25)
     book = replace(after(now, 3), leans=1, moved=moved)
+def test_what_limits_leave_of_a_change_must_be_worth_it() -> None:
+    """An action that was held while the other one was cut made a loop under a tone change its gains 43 times."""
+    assert _follows(1, 1.0, 0.8)
+    assert not _follows(1, 1.0, 0.8, held=True)
+
+
     told = by_book(book, now, replace(SETTINGS, ms_good=ms_good))
     assert (told.leans == 1, told.tuning is not None) == (enough, enough)
 
