@@ -217,11 +217,11 @@ def objection(found: Findings, own: Outcome, seen: AllSamples) -> Outcome | None
     by_models = numbers.gain if isinstance(numbers, ChoiceNumbers) else 0.0
     sure = not (shown and (look is None or _rests(found, look))) or better < 1.0 - settings.less_odds
     worse = tells and sure and (better < settings.borne_out if less else by_models + worth < 0.0)
-    steps = (worse or not seen_so) and _likelier_by_steps(found, book, less=less)
+    steps = (away or worse or not seen_so) and _likelier_by_steps(found, book, less=less)
     if not seen_so and not steps and (doubt := _doubt(found, own, proof, seen, less=less)):
         return found.unconfirmed(own, replace(doubt, reason=f"{told.words}; {doubt.reason}"))
     bad = tells and not (less or shown) and shares(drawn, new, settings)[0] >= settings.less_odds
-    if not (away or bad or (worse and not (steps and found.clear))):
+    if not (bad or ((away or worse) and not (steps and found.clear))):
         return None
     by_that = f"the change is better with {better:.0%} probability, its expected benefit {percent(worth)}"
     if away:
@@ -252,7 +252,8 @@ def _doubt(found: Findings, own: Outcome, proof: Proof, seen: AllSamples, *, les
 
 def _likelier_by_steps(found: Findings, book: Book, *, less: bool) -> bool:
     """Whether a clear response (for more action also one that agrees with such) is likelier by its fit, loads being
-    steps, than by every process of the book's grid under a load that wanders, with or without a tone from outside.
+    steps, than by every process of the book's grid under a load that wanders, with or without a tone from outside:
+    by its samples, weighed as in the book, as often as clear ones agreed, and by how seldom a window is an odd one.
     """
     learned, record = found.learned, found.record
     if (
@@ -267,9 +268,11 @@ def _likelier_by_steps(found: Findings, book: Book, *, less: bool) -> bool:
         return True
     left = (1.0 - estimate.explained) * float(np.var(record.window.pv)) * len(window.pv) / n
     tone = tone_of(record.window, book.dt_s)
-    each, _ = log_likelihoods(window, book.direction, book.unit, tone.columns, tone.taken)
+    each, _ = log_likelihoods(window, book.direction, book.unit, tone.columns, tone.taken, EVERY_LAG)
     likelihood = each - np.array(tone.prices)[:, None, None, None] / TEMPER
-    return lead_of_steps(left, len(estimate.load_times_s), n, window, likelihood) > 0.0
+    lead = lead_of_steps(left, len(estimate.load_times_s), n, window, likelihood)
+    alike = max(found.excitation_now.clear, 1) if learned.agreement is Agreement.AGREES else 1
+    return alike * lead / TEMPER > math.log((1.0 - ODD) / ODD)
 
 
 NOT_SHOWN = "no clear setpoint response has shown that"
