@@ -1,6 +1,7 @@
 """Records of the eight causes, each a clear case by construction and by the margins of the true process."""
 
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -8,10 +9,11 @@ import numpy as np
 from cases.case import DiagnosisCase
 from cases.cycling import far_from_own, stiction_record, tone_record
 from cases.loop import Controller, Upsets, run
-from cases.making import Plan, event_steps, labelled, record_length, scaled_record, settings, tail
+from cases.making import NotClear, Plan, event_steps, labelled, record_length, scaled_record, settings, tail
 from cases.plant import FAMILIES, INTEGRATING, log_uniform
 from cases.setting import Loop, draw_loop, settling_s
 from cases.signals import coloured, steps
+from retuner.schedule.gains import PidGains
 
 CAUSES = ("ok", "aggressive", "sluggish", "slow_integrating", "stiction", "external", "saturation", "noise")
 TUNING = frozenset({"ok", "aggressive", "sluggish", "slow_integrating"})
@@ -19,7 +21,7 @@ SELF_REGULATING = tuple(x for x in FAMILIES if x not in INTEGRATING)
 LAG_DOMINANT = ("first", "second", "batch-p3", "batch-p7", "diffusion")
 TRIES = 400
 
-Maker = Callable[[np.random.Generator], DiagnosisCase | None]
+Maker = Callable[[np.random.Generator], DiagnosisCase]
 
 
 def case(seed: int, index: int, cause: str | None = None) -> DiagnosisCase:
@@ -32,9 +34,8 @@ def case(seed: int, index: int, cause: str | None = None) -> DiagnosisCase:
 def first_that_fits(rng: np.random.Generator, maker: Maker, group: str) -> DiagnosisCase:
     """Draw until a draw is a clear case."""
     for _ in range(TRIES):
-        made = maker(rng)
-        if made is not None:
-            return made
+        with suppress(NotClear):
+            return maker(rng)
     raise RuntimeError(f"no loop fits group {group} in {TRIES} draws")
 
 
@@ -54,14 +55,18 @@ def loop_for(rng: np.random.Generator, cause: str) -> Loop:
     return draw_loop(rng, str(rng.choice(FAMILIES)))
 
 
+def ordered_loop(rng: np.random.Generator, families: tuple[str, ...] = FAMILIES) -> tuple[Loop, PidGains]:
+    """A loop with settings in order."""
+    loop = draw_loop(rng, str(rng.choice(families)))
+    return loop, settings(rng, loop, "ok")
+
+
 def tuning_case(
     rng: np.random.Generator, cause: str, *, group: str = "", setpoints: bool = True, quantum: float = 0.0
-) -> DiagnosisCase | None:
+) -> DiagnosisCase:
     """Settings of that cause under setpoint steps, some load steps among them; or under load steps alone."""
     loop = loop_for(rng, cause)
     gains = settings(rng, loop, cause)
-    if gains is None:
-        return None
     events = int(rng.integers(1, 5))
     loop, n, first = record_length(rng, loop, gains, events)
     sp = event_steps(rng, n, first, events) if setpoints else np.zeros(n)
@@ -85,13 +90,13 @@ def stiction_case(
     kinds: tuple[str, ...] = ("kano", "he"),
     tuning: str = "ok",
     quantum: float = 0.0,
-) -> DiagnosisCase | None:
+) -> DiagnosisCase:
     """A limit cycle made by a valve that sticks, under settings that are in order (or not)."""
     loop = draw_loop(rng, str(rng.choice(families)))
     gains = settings(rng, loop, tuning)
-    made = None if gains is None else stiction_record(rng, loop, gains, str(rng.choice(kinds)), quantum)
-    if gains is None or made is None:
-        return None
+    made = stiction_record(rng, loop, gains, str(rng.choice(kinds)), quantum)
+    if made is None:
+        raise NotClear
     loop, record, note = made
     return labelled(loop, gains, record, group, {"stiction"}, "stiction", **note)
 
@@ -105,12 +110,9 @@ def external_case(
     ratio: float | None = None,
     right: frozenset[str] = frozenset({"external"}),
     quantum: float = 0.0,
-) -> DiagnosisCase | None:
+) -> DiagnosisCase:
     """An outside oscillation on a loop in order."""
-    loop = draw_loop(rng, str(rng.choice(FAMILIES)))
-    gains = settings(rng, loop, "ok")
-    if gains is None:
-        return None
+    loop, gains = ordered_loop(rng)
     shape = str(rng.choice(shapes))
     loop, record, note = tone_record(
         rng, loop, gains, shape, ratio or far_from_own(rng), jitter=jitter, quantum=quantum
@@ -118,12 +120,9 @@ def external_case(
     return labelled(loop, gains, record, group, set(right), f"external {shape}", **note)
 
 
-def saturation_case(rng: np.random.Generator) -> DiagnosisCase | None:
+def saturation_case(rng: np.random.Generator) -> DiagnosisCase:
     """A setpoint or load beyond what the output can do: co at its limit for a third of the record or more, pv off."""
-    loop = draw_loop(rng, str(rng.choice(FAMILIES)))
-    gains = settings(rng, loop, "ok")
-    if gains is None:
-        return None
+    loop, gains = ordered_loop(rng)
     settle = settling_s(loop, gains)
     loop, n, first = record_length(rng, loop, gains, 1)
     first = max(first, float(rng.uniform(0.02, 0.5)) * n)
@@ -141,7 +140,7 @@ def saturation_case(rng: np.random.Generator) -> DiagnosisCase | None:
     at_limit = (clean.co <= loop.low) | (clean.co >= loop.high)
     response = float(np.ptp(clean.pv))
     if np.mean(at_limit) < 0.35 or np.mean(np.abs(clean.sp - clean.pv)[at_limit]) < 0.1 * response:
-        return None
+        raise NotClear
     noise = response * log_uniform(rng, 0.003, 0.02)
     pv0 = float(rng.uniform(-20, 20)) * response
     upsets = Upsets(pv0 + sp, load, None, noise * rng.standard_normal(n))
@@ -151,12 +150,9 @@ def saturation_case(rng: np.random.Generator) -> DiagnosisCase | None:
     return labelled(loop, gains, record, "saturation", {"saturation"}, "saturation", share=share, settle=settle)
 
 
-def noise_case(rng: np.random.Generator) -> DiagnosisCase | None:
+def noise_case(rng: np.random.Generator) -> DiagnosisCase:
     """A constant setpoint, a loop in order, and nothing but measurement noise, white or nearly so."""
-    loop = draw_loop(rng, str(rng.choice(FAMILIES)))
-    gains = settings(rng, loop, "ok")
-    if gains is None:
-        return None
+    loop, gains = ordered_loop(rng)
     n = int(log_uniform(rng, 300, 2000))
     shaped = rng.standard_normal(n) if rng.uniform() < 0.7 else coloured(rng, n, float(rng.uniform(0.3, 1.0)))
     sigma = loop.room / abs(gains.kp) * log_uniform(rng, 0.002, 0.15)

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from cases.case import DiagnosisCase
-from cases.making import Plan, event_steps, labelled, record_length, scaled_record, settings, valve_record
+from cases.making import NotClear, Plan, event_steps, labelled, record_length, scaled_record, settings, valve_record
 from cases.plant import log_uniform
 from cases.setting import Loop, draw_loop
 from cases.signals import KanoValve, Valve, coloured, oscillation, steps
@@ -28,11 +28,10 @@ STANDS = 10.0
 """Longest stand of the valve in units of tau_I, at least."""
 
 
-def fast_loop(rng: np.random.Generator) -> tuple[Loop, PidGains] | None:
+def fast_loop(rng: np.random.Generator) -> tuple[Loop, PidGains]:
     """A flow loop in order."""
     loop = draw_loop(rng, str(rng.choice(["first", "second"])), FAST)
-    gains = settings(rng, loop, "ok")
-    return None if gains is None else (loop, gains)
+    return loop, settings(rng, loop, "ok")
 
 
 class Watched:
@@ -48,12 +47,9 @@ class Watched:
         return self.positions[-1]
 
 
-def standing_valve(rng: np.random.Generator, *, stepped: bool) -> DiagnosisCase | None:
+def standing_valve(rng: np.random.Generator, *, stepped: bool) -> DiagnosisCase:
     """The first two of the page's head."""
-    made = fast_loop(rng)
-    if made is None:
-        return None
-    loop, gains = made
+    loop, gains = fast_loop(rng)
     n = int(rng.integers(500, 1000))
     band = loop.room * log_uniform(rng, 0.05, 0.3)
     spread, share = float(rng.uniform(0.3, 0.7)), log_uniform(rng, 0.02, 0.3)
@@ -83,19 +79,16 @@ def standing_valve(rng: np.random.Generator, *, stepped: bool) -> DiagnosisCase 
     edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(np.int8), [0]])))
     stands = (edges[1::2] - edges[::2]).tolist() or [0]
     if not SLIPS[0] <= len(stands) - 1 <= SLIPS[1]:
-        return None
+        raise NotClear
     if max(stands) * loop.dt_s < STANDS * gains.kp / gains.ki or np.ptp(record.co) > 1.8 * loop.room:
-        return None
+        raise NotClear
     group = "stuck and stepped" if stepped else "band anew"
     return labelled(loop, gains, record, group, set(STICKS), group, band=band, slips=len(stands) - 1)
 
 
-def fast_triangle(rng: np.random.Generator) -> DiagnosisCase | None:
+def fast_triangle(rng: np.random.Generator) -> DiagnosisCase:
     """The third."""
-    made = fast_loop(rng)
-    if made is None:
-        return None
-    loop, gains = made
+    loop, gains = fast_loop(rng)
     n = int(rng.integers(500, 1000))
     shape = str(rng.choice(["triangle", "skewed-triangle"]))
     wave = oscillation(rng, n + 50, n / float(rng.uniform(0.8, 5)), shape)
@@ -105,22 +98,18 @@ def fast_triangle(rng: np.random.Generator) -> DiagnosisCase | None:
     return labelled(loop, gains, record, "fast triangle", right, "ok under a triangle")
 
 
-def load_after_step(
-    rng: np.random.Generator, loop_for: Callable[[np.random.Generator, str], Loop]
-) -> DiagnosisCase | None:
+def load_after_step(rng: np.random.Generator, loop_for: Callable[[np.random.Generator, str], Loop]) -> DiagnosisCase:
     """The last. loop_for : draws a loop in which a cause can occur."""
     cause = str(rng.choice(["ok", "ok", "aggressive", "sluggish"]))
     loop = loop_for(rng, cause)
     gains = settings(rng, loop, cause)
-    if gains is None:
-        return None
     count = int(rng.integers(1, 4))
     loop, n, first = record_length(rng, loop, gains, count)
     sp = event_steps(rng, n, first, count)
     lag = max(sum(loop.process.lags_s), loop.theta_s) / loop.dt_s
     places = [float(at) + lag * log_uniform(rng, 0.3, 3.0) for at in np.flatnonzero(np.diff(sp)) + 1]
     if places[-1] > 0.9 * n:
-        return None
+        raise NotClear
     sizes = (rng.choice([-1.0, 1.0], len(places)) * abs(1 / loop.process.k) * rng.uniform(0.2, 1.0)).tolist()
     if loop.process.integrators:
         sizes = [size / loop.theta_s for size in sizes]

@@ -38,8 +38,12 @@ def fits(loop: Loop, gains: PidGains, cause: str) -> bool:
     return found.ms <= max(OK_MS, 1.05 * loop.margins(loop.best).ms) and j <= OK_J
 
 
-def settings(rng: np.random.Generator, loop: Loop, cause: str) -> PidGains | None:
-    """PI settings drawn for a cause; None when the draw is not a clear case."""
+class NotClear(Exception):  # noqa: N818  it is no error of the program
+    """What was drawn is no clear case: draw again."""
+
+
+def settings(rng: np.random.Generator, loop: Loop, cause: str) -> PidGains:
+    """PI settings drawn for a cause. Raises NotClear."""
     kc, tau_i = {
         "ok": (log_uniform(rng, 0.8, 1.1), log_uniform(rng, 0.9, 1.2)),
         "aggressive": (log_uniform(rng, 1.3, 3.0), log_uniform(rng, 0.4, 1.5)),
@@ -47,7 +51,9 @@ def settings(rng: np.random.Generator, loop: Loop, cause: str) -> PidGains | Non
         "slow_integrating": (1 / log_uniform(rng, 2.0, 20.0), 1 / log_uniform(rng, 1.0, 6.0)),
     }[cause]
     gains = scaled(loop.best, kc, tau_i)
-    return gains if fits(loop, gains, cause) else None
+    if not fits(loop, gains, cause):
+        raise NotClear
+    return gains
 
 
 def own_period_s(loop: Loop, gains: PidGains) -> float:

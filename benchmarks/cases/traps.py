@@ -34,12 +34,14 @@ from cases.diagnosis import (
     external_case,
     first_that_fits,
     loop_for,
+    ordered_loop,
     stiction_case,
     tuning_case,
 )
 from cases.fiction import fast_triangle, load_after_step, standing_valve
 from cases.loop import Controller, Upsets, run, run_manual
 from cases.making import (
+    NotClear,
     Plan,
     event_steps,
     labelled,
@@ -51,39 +53,28 @@ from cases.making import (
     valve_record,
 )
 from cases.plant import FAMILIES, INTEGRATING, log_uniform
-from cases.setting import Loop, draw_loop, settling_s
+from cases.setting import draw_loop, settling_s
 from cases.signals import SHAPES, backlash, coloured, compressed, narrow_band, random_walk, steps
-from retuner.schedule.gains import PidGains
 
 QUIET = {"ok", "noise", "external", "unknown"}
 BASES = ("ok", "aggressive", "sluggish", "stiction", "external")
 
 
-def ordered_loop(rng: np.random.Generator, families: tuple[str, ...] = FAMILIES) -> tuple[Loop, PidGains] | None:
-    """A loop with settings in order."""
-    loop = draw_loop(rng, str(rng.choice(families)))
-    gains = settings(rng, loop, "ok")
-    return None if gains is None else (loop, gains)
-
-
-def external_shapes(rng: np.random.Generator) -> DiagnosisCase | None:
+def external_shapes(rng: np.random.Generator) -> DiagnosisCase:
     jitter = float(rng.uniform(0.03, 0.15)) if rng.uniform() < 0.3 else 0.0
     right = frozenset({"external", "unknown"} if jitter else {"external"})
     return external_case(rng, group="external shapes", shapes=SHAPES[1:], jitter=jitter, right=right)
 
 
-def own_period(rng: np.random.Generator) -> DiagnosisCase | None:
+def own_period(rng: np.random.Generator) -> DiagnosisCase:
     return external_case(
         rng, group="own period", ratio=log_uniform(rng, 0.8, 1.25), right=frozenset({"external", "unknown"})
     )
 
 
-def random_load(rng: np.random.Generator, group: str) -> DiagnosisCase | None:
+def random_load(rng: np.random.Generator, group: str) -> DiagnosisCase:
     """A random-walk or narrow-band load, half of them with setpoint steps of about its size."""
-    made = ordered_loop(rng)
-    if made is None:
-        return None
-    loop, gains = made
+    loop, gains = ordered_loop(rng)
     loop, n, first = record_length(rng, loop, gains, int(rng.integers(3, 9)))
     lead_in = n // 3
     whole = n + lead_in
@@ -92,7 +83,7 @@ def random_load(rng: np.random.Generator, group: str) -> DiagnosisCase | None:
     else:
         period = own_period_s(loop, gains) / loop.dt_s * log_uniform(rng, 0.7, 4.0)
         if not 10 < period < n / 4:
-            return None
+            raise NotClear
         wave = narrow_band(rng, whole, period, log_uniform(rng, 0.03, 0.15))
     inside = rng.uniform() < 0.7
     zero = np.zeros(whole)
@@ -105,17 +96,14 @@ def random_load(rng: np.random.Generator, group: str) -> DiagnosisCase | None:
     return labelled(loop, gains, record, group, QUIET, f"ok under {group}")
 
 
-def load_steps_only(rng: np.random.Generator) -> DiagnosisCase | None:
+def load_steps_only(rng: np.random.Generator) -> DiagnosisCase:
     cause = str(rng.choice(["ok", "aggressive", "sluggish", "slow_integrating"]))
     return tuning_case(rng, cause, group="load steps only", setpoints=False)
 
 
-def backlash_at_rest(rng: np.random.Generator) -> DiagnosisCase | None:
+def backlash_at_rest(rng: np.random.Generator) -> DiagnosisCase:
     """Play of a few percent that the loop's responses go through."""
-    made = ordered_loop(rng, SELF_REGULATING)
-    if made is None:
-        return None
-    loop, gains = made
+    loop, gains = ordered_loop(rng, SELF_REGULATING)
     loop, n, first = record_length(rng, loop, gains, int(rng.integers(1, 4)))
     sp = event_steps(rng, n, first, int(rng.integers(1, 4)))
     width = 2.0 * float(rng.uniform(0.03, 0.12))
@@ -128,7 +116,7 @@ def backlash_at_rest(rng: np.random.Generator) -> DiagnosisCase | None:
     return labelled(loop, gains, record, "backlash at rest", QUIET | {"stiction"}, "ok with play")
 
 
-def stored(rng: np.random.Generator, group: str) -> DiagnosisCase | None:
+def stored(rng: np.random.Generator, group: str) -> DiagnosisCase:
     """One of the five plain causes, compressed or quantised."""
     base = str(rng.choice(BASES))
     quantum = 1.0 / float(rng.uniform(15, 50)) if group == "quantised" else 0.0
@@ -138,17 +126,12 @@ def stored(rng: np.random.Generator, group: str) -> DiagnosisCase | None:
         made = external_case(rng, group=group, quantum=quantum)
     else:
         made = tuning_case(rng, base, group=group, quantum=quantum)
-    if made is None or group == "quantised":
-        return made
-    return replace(made, record=compressed(rng, made.record))
+    return made if group == "quantised" else replace(made, record=compressed(rng, made.record))
 
 
-def no_response(rng: np.random.Generator) -> DiagnosisCase | None:
+def no_response(rng: np.random.Generator) -> DiagnosisCase:
     """From some time on the sensor stands still beside the setpoint, and the integral carries co away."""
-    made = ordered_loop(rng)
-    if made is None:
-        return None
-    loop, gains = made
+    loop, gains = ordered_loop(rng)
     loop, n, _ = record_length(rng, loop, gains, 3)
     error = loop.room / abs(gains.kp) * float(rng.uniform(0.02, 0.3)) * float(rng.choice([-1.0, 1.0]))
     stands = rng.uniform() < 0.5
@@ -162,17 +145,14 @@ def no_response(rng: np.random.Generator) -> DiagnosisCase | None:
     record = run(loop.process, controller, loop.dt_s, Upsets(sp), co0=loop.co0, pv0=pv0, sensor=lambda _: next(reads))
     at_limit = float(np.mean((record.co <= loop.low) | (record.co >= loop.high)))
     if float(np.ptp(record.co)) < 0.02 * (loop.high - loop.low):
-        return None
+        raise NotClear
     right = {"unknown", "saturation"} if at_limit > 0.2 else {"unknown"}
     return labelled(loop, gains, record, "no response", right, "no response", share=at_limit)
 
 
-def dead_signal(rng: np.random.Generator) -> DiagnosisCase | None:
+def dead_signal(rng: np.random.Generator) -> DiagnosisCase:
     """Setpoint, pv and co each a constant, pv or co perhaps with one last digit that flickers once."""
-    made = ordered_loop(rng)
-    if made is None:
-        return None
-    loop, gains = made
+    loop, gains = ordered_loop(rng)
     n = int(rng.integers(300, 1200))
     level = float(rng.uniform(-50, 150))
     pv = np.full(n, level)
@@ -184,12 +164,9 @@ def dead_signal(rng: np.random.Generator) -> DiagnosisCase | None:
     return labelled(loop, gains, record, "dead signal", right, "dead signal")
 
 
-def quiet(rng: np.random.Generator) -> DiagnosisCase | None:
+def quiet(rng: np.random.Generator) -> DiagnosisCase:
     """Constant setpoint, the last digit of pv flickers."""
-    made = ordered_loop(rng)
-    if made is None:
-        return None
-    loop, gains = made
+    loop, gains = ordered_loop(rng)
     n = int(log_uniform(rng, 300, 1500))
     sigma = loop.room / abs(gains.kp) * log_uniform(rng, 1e-4, 2e-3)
     quantum = sigma * float(rng.uniform(1.0, 4.0))
@@ -206,16 +183,14 @@ def quiet(rng: np.random.Generator) -> DiagnosisCase | None:
         sensor=lambda pv: round(pv / quantum) * quantum,
     )
     if np.ptp(record.pv[50:]) == 0:
-        return None
+        raise NotClear
     return labelled(loop, gains, tail(record, 50), "quiet", {"ok", "noise", "unknown"}, "quiet")
 
 
-def manual(rng: np.random.Generator) -> DiagnosisCase | None:
+def manual(rng: np.random.Generator) -> DiagnosisCase:
     """co constant or moved by hand; the gains given are not in force, and of any kind."""
     loop = draw_loop(rng, str(rng.choice(FAMILIES)))
     gains = settings(rng, loop, str(rng.choice(["ok", "aggressive", "sluggish"])))
-    if gains is None:
-        return None
     loop, n, _ = record_length(rng, loop, gains, 3)
     zero = np.zeros(n)
     count = int(rng.integers(0, 5))
@@ -232,28 +207,22 @@ def manual(rng: np.random.Generator) -> DiagnosisCase | None:
     return labelled(loop, gains, record, "manual", QUIET, "manual", moves=count)
 
 
-def cascade_slave(rng: np.random.Generator) -> DiagnosisCase | None:
+def cascade_slave(rng: np.random.Generator) -> DiagnosisCase:
     """The setpoint is the noisy output of a master."""
-    made = ordered_loop(rng)
-    if made is None:
-        return None
-    loop, gains = made
+    loop, gains = ordered_loop(rng)
     loop, n, _ = record_length(rng, loop, gains, int(rng.integers(2, 7)))
     corner = max(settling_s(loop, gains) / loop.dt_s * log_uniform(rng, 0.02, 0.5), 0.3)
     if corner > n / 4:
-        return None
+        raise NotClear
     sp = coloured(rng, n + 100, corner) + 0.3 * rng.standard_normal(n + 100)
     zero = np.zeros(n + 100)
     record = scaled_record(rng, loop, gains, Plan(sp, zero, zero, log_uniform(rng, 0.005, 0.05), 100))
     return labelled(loop, gains, record, "cascade slave", QUIET, "ok under a noisy setpoint")
 
 
-def two_pulses(rng: np.random.Generator) -> DiagnosisCase | None:
+def two_pulses(rng: np.random.Generator) -> DiagnosisCase:
     """Two short loads of opposite sign, the second smaller, half a period of the loop apart or a little more."""
-    made = ordered_loop(rng)
-    if made is None:
-        return None
-    loop, gains = made
+    loop, gains = ordered_loop(rng)
     loop, n, first = record_length(rng, loop, gains, 2)
     half = own_period_s(loop, gains) / loop.dt_s / 2 * float(rng.uniform(0.8, 2.0))
     width = half * float(rng.uniform(0.2, 0.8))
@@ -264,17 +233,17 @@ def two_pulses(rng: np.random.Generator) -> DiagnosisCase | None:
         places += [first + i * half, first + i * half + width]
         sizes += [size, -size]
     if places[-1] > 0.9 * n:
-        return None
+        raise NotClear
     zero = np.zeros(n)
     record = scaled_record(rng, loop, gains, Plan(zero, steps(n, places, sizes), zero, log_uniform(rng, 0.003, 0.02)))
     return labelled(loop, gains, record, "two pulses", QUIET, "ok after two pulses")
 
 
-def stiction_lag_dominant(rng: np.random.Generator) -> DiagnosisCase | None:
+def stiction_lag_dominant(rng: np.random.Generator) -> DiagnosisCase:
     """A lag of ten or more effective dead times."""
     made = stiction_case(rng, group="stiction lag-dominant", families=LAG_DOMINANT)
-    if made is None or max(made.process.lags_s) < 10 * made.theta_eff_s:
-        return None
+    if max(made.process.lags_s) < 10 * made.theta_eff_s:
+        raise NotClear
     return made
 
 
