@@ -49,12 +49,12 @@ def table_of_frame(frame: object) -> RawTable:
     return RawTable("the frame", tuple(map(str, names)), tuple(columns), RowNumbers(len(columns[0]) if columns else 0))
 
 
-def column_of(name: str, series: object) -> Column:
-    """One column."""
+def column_of(name: str, series: object, *, copy: bool = True) -> Column:
+    """One column. copy : whoever holds the series may change it."""
     combined = getattr(series, "to_numpy", None)
     values = np.asarray(combined() if combined is not None else series)
     if values.dtype.kind in "iuf":
-        return values.astype(np.float64)
+        return values.astype(np.float64, copy=copy)
     if values.dtype.kind == "M":
         return values
     if values.dtype.kind == "O":

@@ -82,7 +82,7 @@ def tables_of_parquet(
         at = 0
         for batch in batches:
             if batch.num_rows:
-                columns = tuple(column_of(name, batch.column(name)) for name in names)
+                columns = tuple(column_of(name, batch.column(name), copy=False) for name in names)
                 yield [RawTable(str(path), _called(path, names, form), columns, RowNumbers(batch.num_rows, at))]
             at += batch.num_rows
 

@@ -31,7 +31,7 @@ def in_order(t_s: FloatArray, source: str) -> tuple[np.ndarray, FloatArray, list
     Raises RecordingError: time goes back too often for rows that were put in a wrong place.
     """
     told: list[Assumption] = []
-    if all_finite(t_s) and bool(np.all(t_s[1:] > t_s[:-1])):
+    if all_finite(t_s[[0, -1]] if len(t_s) else t_s) and bool(np.all(t_s[1:] > t_s[:-1])):  # no nan is over any
         return np.arange(len(t_s)), t_s, told
     places = np.flatnonzero(np.isfinite(t_s))
     if len(places) < len(t_s):

@@ -301,8 +301,8 @@ def _trends(
         _tell_unit(table, place, role, told)
         values = numbers(table, place, decimal, form)
         everything = plain_clock and all_finite(values)
-        sparse = role in form.others or (role != "pv" and _stored_by_exception(table, place))
-        held = not everything and sparse  # a blank beside the loop takes no row from it
+        # a blank beside the loop takes no row from it
+        held = not everything and (role in form.others or (role != "pv" and _stored_by_exception(table, place)))
         missing = 0 if everything else int(np.sum(~np.isfinite(values[clock.rows])))
         if missing and not held:
             told.append(Assumption(f"{missing} value{'s' * (missing != 1)} of {role} missing: left out"))

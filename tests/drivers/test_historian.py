@@ -16,6 +16,7 @@ from plain_recording import read_recording
 from retuner.drivers.historian.assumption import in_a_line, in_full, quoted
 from retuner.drivers.historian.loop_record import LoopRecord, read_loop_record
 from retuner.drivers.historian.record_form import RecordForm, form_from_toml
+from retuner.drivers.historian.row_order import in_order
 from retuner.drivers.historian.tags import loops, named
 from retuner.drivers.recorded.recording import RecordingError
 
@@ -527,6 +528,18 @@ def test_blank_lines_of_a_spreadsheet_are_no_rows_and_a_missing_stamp_is_told(wr
     assert blank.assumed == ()
     is_the_loop(total)
     assert in_a_line(total.assumed) == "1 rows without a stamp: left out"
+
+
+@pytest.mark.parametrize("odd", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("place", [0, 2, 4])
+def test_a_stamp_that_is_no_number_is_left_out_wherever_it_stands(odd: float, place: int) -> None:
+    t_s = np.arange(5.0)
+    t_s[place] = odd
+    rows, stamps, told = in_order(t_s, "record")
+    assert place not in rows
+    assert len(rows) == 4
+    assert np.all(np.diff(stamps) > 0)
+    assert [one.what for one in told] == ["1 rows without a stamp: left out"]
 
 
 def test_a_long_table_may_hold_text_of_other_tags(written: Callable[..., Path]) -> None:
