@@ -24,8 +24,8 @@ from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.rival_fits import moves_pv
 from retuner.adaptive.fit.record import apart, setpoint_changes
 from retuner.adaptive.fit.structure import model_at
-from retuner.adaptive.identification.bound import bounded
 from retuner.adaptive.identification.candidate import Candidate
+from retuner.adaptive.identification.dead_time_bound import bounded
 from retuner.adaptive.identification.estimate import ModelEstimate, factor_text, gain_spread
 from retuner.adaptive.identification.first_step import MOST_AT_ONCE, first_step
 from retuner.adaptive.identification.identify import FEWEST_SAMPLES_IN_THETA, TWO_WAYS, Fits, estimate_of

@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from retuner.adaptive.fit.damped import Limits, descended
+from retuner.adaptive.fit.levenberg_marquardt import Limits, descended
 from retuner.adaptive.fit.structure import LAG, LEAST_ZETA, SECOND, SIZE, SLOPE, THETA, dynamics_at, model_at
 from retuner.adaptive.identification.plausible import MOST_EXCESS, Plausible
 from retuner.adaptive.loop.sampled import SampledLaw, setpoint_response

@@ -25,7 +25,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from retuner.adaptive.fit.damped import Limits, descended
+from retuner.adaptive.fit.levenberg_marquardt import Limits, descended
 from retuner.adaptive.fit.structure import INVERSE, LAG, SECOND, SIZE, SLOPE, THETA, dynamics_at, model_at
 from retuner.adaptive.identification.by_likelihood import Likelihood, as_plausible, middle, runs_away
 from retuner.adaptive.identification.estimate import (

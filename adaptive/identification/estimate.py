@@ -230,7 +230,7 @@ class ModelEstimate:
     explained : share of pv's variance that the model explains.
     ramp_s : for how long the load moved, where it came as a ramp; 0 for steps.
     rival : the model without load steps at setpoint changes, where the winner has such.
-    bound_s : dead time that is taken where none is seen (bound.py); 0 where it is seen.
+    bound_s : dead time that is taken where none is seen (dead_time_bound.py); 0 where it is seen.
     """
 
     identifiable: bool

@@ -13,8 +13,8 @@ from itertools import pairwise
 import numpy as np
 
 from retuner.adaptive.fit.record import apart, setpoint_changes
-from retuner.adaptive.identification.bound import bounded
 from retuner.adaptive.identification.by_region import RegionRecord, identify_region
+from retuner.adaptive.identification.dead_time_bound import bounded
 from retuner.adaptive.identification.estimate import ModelEstimate
 from retuner.adaptive.identification.identify import FitSettings, identify_window
 from retuner.adaptive.signals.sample import Window

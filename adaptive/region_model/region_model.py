@@ -81,7 +81,7 @@ class RegionModel:
     by likelihood, the best first. identifiable : whether settings may follow from it; reason says why or why not.
     windows : the records themselves while they are few, for the next one to be fitted with them (update.py).
     sequences : setpoint steps to and fro that were made here (sequences.py); the newest last.
-    bound_s : dead time that settings rest on where none is seen (identification/bound.py); 0 where it is seen.
+    bound_s : dead time that settings rest on where none is seen (dead_time_bound.py); 0 where it is seen.
     """
 
     known: tuple[StructureModel, ...]

@@ -33,8 +33,8 @@ import numpy as np
 from retuner.adaptive.declared_setting import require_in_range, setting
 from retuner.adaptive.fit.record import setpoint_changes
 from retuner.adaptive.fit.refine import Prior
-from retuner.adaptive.identification.bound import bounded
 from retuner.adaptive.identification.candidate import MODEL_ERROR, Candidate, load_price, with_priors
+from retuner.adaptive.identification.dead_time_bound import bounded
 from retuner.adaptive.identification.estimate import LogModel, ModelEstimate
 from retuner.adaptive.identification.identify import Fits, FitSettings, estimate_of, inflation_of
 from retuner.adaptive.loop.margins import sensitivity_peak

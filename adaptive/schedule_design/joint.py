@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from retuner.adaptive.fit.damped import Limits, descended
+from retuner.adaptive.fit.levenberg_marquardt import Limits, descended
 from retuner.adaptive.schedule_design.motion import Batch, Local, drifted, push_ways, response
 from retuner.adaptive.schedule_design.record_stretches import Characteristic, CurveAxis, CurveShape, Second, Stretch
 from retuner.adaptive.signals.noise import noise_sigma

@@ -5,7 +5,7 @@ what else than the tuning may be behind the response is asked: a wrong action, a
 settings, robust_simc.py's on the models that the records still allow, on line as off line. A region whose process is
 not known well enough gets none, with one exception: a loop that is over its Ms limit on every model that is still
 allowed is given less of everything without waiting for a better record. Less is asked for where all models ask for it
-that fit as well as the best: a dead time may be too short to be seen (identification/bound.py). decide.py goes on.
+that fit as well as the best: a dead time may be too short to be seen (dead_time_bound.py). decide.py goes on.
 """
 
 import math

@@ -1,5 +1,7 @@
 """Which of the sets that ran is to run from now on, where a trial ends otherwise than by a response that confirms it.
 
+What ends it: a response (judge.py), or samples that run away (diverging_trial.py).
+
     expected(set) = sum_m P(m | seen) loss(set, m)  +  P(something else | seen) chance(set)
 
     loss(set, m)  = 1 - harmless_ms / Ms     share of the distance to instability that is lost: 0 where robust, 1 where

@@ -24,8 +24,8 @@ from retuner.drivers.profiles.controller_access import (
     Stopped,
     Told,
 )
-from retuner.drivers.profiles.distinct import Use, require_distinct
 from retuner.drivers.profiles.mapping import DeviceMapping, GainAt, ObjectOf, States
+from retuner.drivers.profiles.one_meaning import Use, require_distinct
 from retuner.schedule.vendor_units import VendorGain, VendorUnits
 
 NMT, HEARTBEAT, EMERGENCY = 0x000, 0x700, 0x080

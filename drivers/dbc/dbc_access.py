@@ -13,8 +13,8 @@ import can
 from retuner.drivers.dbc.dbc_file import DbcFile, Key, SignalPlace, defaults
 from retuner.drivers.dbc.frame_guard import FrameGuard, guard_of
 from retuner.drivers.profiles.controller_access import Alive, Heard, NoFault, ProfileError, Stopped, Told
-from retuner.drivers.profiles.distinct import Use, require_distinct
 from retuner.drivers.profiles.mapping import Ask, DeviceMapping, GainAt, SignalOf, States
+from retuner.drivers.profiles.one_meaning import Use, require_distinct
 from retuner.drivers.telemetry.signal_source import DECODING_ERRORS
 from retuner.schedule.late_dataclass import dataclass
 from retuner.schedule.vendor_units import VendorGain, VendorUnits

@@ -9,7 +9,7 @@ from cantools.database.can.message import Message as Layout
 from cantools.database.can.signal import Signal
 
 from retuner.drivers.profiles.controller_access import ProfileError
-from retuner.drivers.profiles.distinct import Use
+from retuner.drivers.profiles.one_meaning import Use
 from retuner.drivers.protocol.codec import PARSING_ERRORS
 from retuner.schedule.late_dataclass import dataclass
 from retuner.schedule.vendor_units import SINGLE_MAX, StorableNumbers

@@ -14,8 +14,8 @@ from retuner.adaptive.controller_settings.summed_law import rough_law
 from retuner.adaptive.diagnosis.one_tone import one_tone
 from retuner.adaptive.diagnosis.sticking_valve import pv_stands_verdict
 from retuner.adaptive.fit.record import setpoint_changes
-from retuner.adaptive.identification.bound import bounded
 from retuner.adaptive.identification.by_region import FEWEST_SAMPLES, RegionRecord, by_region, identify_region
+from retuner.adaptive.identification.dead_time_bound import bounded
 from retuner.adaptive.identification.estimate import ModelEstimate
 from retuner.adaptive.identification.first_step import first_step
 from retuner.adaptive.identification.identify import FROM_MOTION, FitSettings, identify_manual, identify_window
@@ -325,7 +325,7 @@ def _followed(
     found = robust_simc(estimate, window.sample_time_s, RobustSettings(), gains)
     settings = TuneResult.on(found.tuning, estimate.log.model())
     if (estimate.coloured or by_parts) and not open_loop:
-        from retuner.adaptive.cause_odds.other_processes import doubt_of_settings  # noqa: PLC0415  few records ask
+        from retuner.adaptive.cause_odds.doubt_of_settings import doubt_of_settings  # noqa: PLC0415  few records ask
 
         if doubt := doubt_of_settings(window, settings.gains, by_parts=by_parts):
             return Identification(replace(estimate, identifiable=False, reason=doubt), None, None)

@@ -13,7 +13,7 @@ HOMES = {
     "another schedule": "adaptive.region_model.proposed_borders",
     "pretune": "session.pretuning",
     "one plant": "one_plant.joining",
-    "page": "serve.beside",
+    "page": "serve.page_beside_run",
     "live view": "live_view.watching_session",
     "what a run leaves": "commands.left_by_run",
 }

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from command_line import answer, printed
 
-from retuner.adaptive.cause_odds import other_processes
+from retuner.adaptive.cause_odds import doubt_of_settings
+from retuner.adaptive.cause_odds.doubt_of_settings import share_over
 from retuner.adaptive.cause_odds.odds_settings import OddsSettings
-from retuner.adaptive.cause_odds.other_processes import share_over
 from retuner.adaptive.identification.robust_simc import RobustSettings, robust_simc_on
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import Window
@@ -72,7 +72,7 @@ def test_a_model_with_a_drift_is_held_against_all_processes_under_a_load_that_wa
 @pytest.mark.parametrize(("share", "holds"), [(0.05, True), (0.2, False)])
 def test_a_model_of_parts_is_held_to_what_settings_by_odds_are(share, holds, monkeypatch):
     """Of four of some 250 drawn records that only parts identify, two had Ms 2.0 and 2.3 on 22 and 29 % of the odds."""
-    monkeypatch.setattr(other_processes, "share_over", lambda *_: share)
+    monkeypatch.setattr(doubt_of_settings, "share_over", lambda *_: share)
     assert identify_record(record("four_lags_negative_fit")).identifiable is holds  # only its parts identify it
 
 

@@ -22,7 +22,7 @@ from retuner.config.model import Config
 from retuner.decisions.proposed_schedule import digest_of, taken_up
 from retuner.errors import UserError
 from retuner.files import write_whole
-from retuner.gain_export.schedule_into import schedule_into
+from retuner.gain_export.schedule_into_config import schedule_into
 from retuner.ledger import Row
 from retuner.report.ledger_words import told
 from retuner.schedule.config_section import schedule_section

@@ -16,7 +16,7 @@ from retuner.decision_page.decision_words import settings_text
 from retuner.decision_page.shown_units import show_units_of
 from retuner.errors import LedgerError, UserError, one_line, user_input
 from retuner.files import write_whole
-from retuner.gain_export.schedule_into import schedule_into
+from retuner.gain_export.schedule_into_config import schedule_into
 from retuner.ledger.lock import WriterLock
 from retuner.products import product
 from retuner.schedule.document import from_toml

@@ -67,7 +67,7 @@ def export(
     elif units is not None:
         sys.stdout.write("".join(f"{name}: {units.text(table.gains_of(name))}\n" for name in table.regions.names))
     if into is not None:
-        from retuner.gain_export.into_config import into_config
+        from retuner.gain_export.gains_into_config import into_config
 
         text, told = into_config(into, table)
         _put(into, text)

@@ -9,7 +9,7 @@ import typer
 
 from retuner.errors import UserError
 from retuner.serve.address import PORT, ServeOptions
-from retuner.serve.beside import require_page
+from retuner.serve.page_beside_run import require_page
 
 app = typer.Typer(add_completion=False)
 

@@ -1,6 +1,6 @@
 """Panels of curves as SVG, written here: a page has dozens, and a plotting library takes a tenth of a second for each.
 
-Lengths are tenths of a point, so that coordinates are whole numbers. Colours are those of looks.py.
+Lengths are tenths of a point, so that coordinates are whole numbers. Colours are those of drawing_style.py.
 """
 
 import math
@@ -11,7 +11,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from retuner.decision_page.looks import TONES
+from retuner.decision_page.drawing_style import TONES
 
 Range: TypeAlias = tuple[float, float]
 Place: TypeAlias = tuple[int, int, int, int]
@@ -24,7 +24,7 @@ FAR = 30_000  # where a curve that leaves the drawing is cut off, long after its
 
 
 class Stroke(NamedTuple):
-    """colour : as in looks.py. width : of the line, 0 where the curve's inside is filled. dash : as SVG has it."""
+    """colour : of drawing_style.py. width : of the line, 0 where the curve's inside is filled. dash : as SVG has it."""
 
     colour: str
     width: float = 10.0

@@ -4,7 +4,7 @@ import numpy as np
 
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.decision_page.decision_view import DecisionView, Samples
-from retuner.decision_page.looks import AFTER, FAINT, LIMIT, MODEL, SETPOINT, steps, thinned
+from retuner.decision_page.drawing_style import AFTER, FAINT, LIMIT, MODEL, SETPOINT, steps, thinned
 from retuner.decision_page.panel import Panel, Place, Range, Stroke, page_of, room, stacked
 from retuner.decision_page.row_values import number, numbers
 

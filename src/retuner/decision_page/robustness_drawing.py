@@ -17,7 +17,7 @@ from retuner.adaptive.process.model import ComplexArray, LinearProcess
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.decision_page.decision_sentences import new_name, old_name
 from retuner.decision_page.decision_view import DecisionView
-from retuner.decision_page.looks import AFTER, BEFORE, FAINT, LIMIT, SETPOINT, thinned
+from retuner.decision_page.drawing_style import AFTER, BEFORE, FAINT, LIMIT, SETPOINT, thinned
 from retuner.decision_page.panel import Panel, Stroke, page_of, room
 from retuner.decision_page.response_drawing import time_unit
 from retuner.schedule.gains import PidGains

@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from retuner.decision_page.looks import TONES
+from retuner.decision_page.drawing_style import TONES
 from retuner.templates import palette
 
 _COLOUR = re.compile("|".join(TONES))

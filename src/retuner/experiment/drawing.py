@@ -5,7 +5,7 @@ from matplotlib.figure import Figure
 
 from retuner.adaptive.identification.fitted_curve import fitted_pv
 from retuner.adaptive.signals.sample import Window
-from retuner.decision_page.looks import FIXED, MARK, PV, SP, time_axis
+from retuner.decision_page.drawing_style import FIXED, MARK, PV, SP, time_axis
 from retuner.decision_page.svg import settings
 from retuner.experiment.findings import ExperimentFindings
 from retuner.report.record_plots import ExplainedCurve

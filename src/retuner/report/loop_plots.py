@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from retuner.adaptive.loop.simulate import step_response
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import FloatArray
-from retuner.decision_page.looks import FIXED, MARK, PV, SP, time_axis
+from retuner.decision_page.drawing_style import FIXED, MARK, PV, SP, time_axis
 from retuner.decision_page.svg import settings
 from retuner.report.change_of_settings import ShownChange, change_words, settling_s
 from retuner.report.scores import axis_floors

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from retuner.adaptive.signals.sample import FloatArray, Window
-from retuner.decision_page.looks import FAINT, MARK, MODEL, PV, SP, time_axis
+from retuner.decision_page.drawing_style import FAINT, MARK, MODEL, PV, SP, time_axis
 from retuner.decision_page.svg import settings
 from retuner.report.change_of_settings import ShownChange
 from retuner.report.loop_plots import change_into, floors

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from retuner.decision_page.looks import AFTER, BANDS, BEFORE, MARK, SETPOINT, thinned, time_axis
+from retuner.decision_page.drawing_style import AFTER, BANDS, BEFORE, MARK, SETPOINT, thinned, time_axis
 from retuner.decision_page.panel import Panel, Stroke, page_of, room, stacked
 from retuner.report.scores import Columns, Twin, axis_floors
 from retuner.schedule.regions import Regions

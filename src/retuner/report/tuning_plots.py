@@ -14,7 +14,7 @@ from retuner.adaptive.loop.simulate import StepResponse, step_response
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.rules.rule import ControllerKind
 from retuner.adaptive.rules.simc import simc, without_second_lag
-from retuner.decision_page.looks import AFTER, BEFORE, SETPOINT
+from retuner.decision_page.drawing_style import AFTER, BEFORE, SETPOINT
 from retuner.decision_page.svg import settings
 from retuner.report.rule_comparison import RuleRow
 

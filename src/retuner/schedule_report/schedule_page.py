@@ -12,7 +12,7 @@ from retuner.adaptive.schedule_choice.scheduling_variables import RegionCrossing
 from retuner.adaptive.schedule_design.places import OUT
 from retuner.adaptive.schedule_design.record_stretches import CurveShape
 from retuner.adaptive.signals.sample import FloatArray, Window
-from retuner.decision_page.looks import BANDS, FAINT, FIXED, MARK, PV, SP, thinned
+from retuner.decision_page.drawing_style import BANDS, FAINT, FIXED, MARK, PV, SP, thinned
 from retuner.decision_page.shown_units import chosen_units
 from retuner.decision_page.svg import settings, svg
 from retuner.schedule.config_section import schedule_section

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from retuner.decision_page.decision_view import samples_of
-from retuner.decision_page.looks import steps, thinned
+from retuner.decision_page.drawing_style import steps, thinned
 from retuner.decision_page.response_drawing import response_svg, time_unit
 from retuner.decision_page.robustness_drawing import robustness_svg
 

@@ -6,7 +6,7 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pytest
 
-from retuner.decision_page.looks import AFTER, MARK, TONES
+from retuner.decision_page.drawing_style import AFTER, MARK, TONES
 from retuner.decision_page.panel import FAR, Panel, Stroke, page_of, room, ticks_of
 
 PLACE = (500, 300, 4000, 1000)

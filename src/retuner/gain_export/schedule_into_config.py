@@ -18,7 +18,7 @@ from retuner.config.loading import UnusableError, load_session, parse_session
 from retuner.config.model import Config
 from retuner.decisions.proposed_schedule import digest_of, stands
 from retuner.errors import UserError
-from retuner.gain_export.into_config import sameness
+from retuner.gain_export.gains_into_config import sameness
 from retuner.schedule.config_section import schedule_section
 from retuner.schedule.table import GainTable
 
