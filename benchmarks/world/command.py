@@ -159,6 +159,7 @@ def main() -> int:
     parser.add_argument("--out", type=Path)
     parser.add_argument("--real", action="store_true")
     parser.add_argument("--invariance", action="store_true")
+    parser.add_argument("--also", action="append", default=[], metavar="FILE", help="a record outside FOLDER")
     parser.add_argument("--alike", action="store_true")
     parser.add_argument("--historian", action="store_true", help="records as a historian keeps them")
     options = parser.parse_args()
@@ -169,7 +170,7 @@ def main() -> int:
         print("\n".join(alike(options.data, options.seed, options.cases, historian=options.historian)))
         return 0
     if options.invariance:
-        print("\n".join(invariance(options.data, options.cases, options.jobs)))
+        print("\n".join(invariance(options.data, options.also, options.cases, options.jobs, options.out)))
         return 0
     work = functools.partial(
         scored, options.seed, options.kind, options.data, options.fold, options.next, options.historian
