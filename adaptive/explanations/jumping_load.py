@@ -94,8 +94,8 @@ def shocks(
     second : a further lag that the shocks go through, 0 for none. beside : what co does, shape (n,).
     """
     n = len(record.pv)
-    y, basis, response = whitened(record, lag, load, beside, second)
-    found, left = steps_chosen(y, response, basis, UNIQUE, most)
+    y, basis, response, form = whitened(record, lag, load, beside, second)
+    found, left = steps_chosen(y, response, basis, UNIQUE, most, form)
     noise = n * record.resolution**2
     told = -(n - basis.shape[1]) / 2.0 * np.log((np.array(left) + noise) / float(np.var(record.pv)))
     return [row + 1 for row in found], told
@@ -103,8 +103,10 @@ def shocks(
 
 def whitened(
     record: Prepared, lag: float, load: tuple[float, int], beside: FloatArray | None = None, second: float = 0.0
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """As for `shocks`: pv whitened, orthonormal columns of starts and co's part in it, and what a shock does."""
+) -> tuple[FloatArray, FloatArray, FloatArray, tuple[float, ...]]:
+    """As for `shocks`: pv whitened, orthonormal columns of starts and co's part in it, and what a shock does, with its
+    form (steps_chosen).
+    """
     n, (model,) = len(record.pv), load_models(lag, load[:1], load[1])
     memory, basis = whitening(n, (math.exp(-1.0 / second),) if second else (), model)
     rows = record.pv[None] if beside is None else np.array([record.pv, beside])
@@ -113,7 +115,8 @@ def whitened(
     y, *co = filtered(spectrum(reduced(rows, model.roots)), n, memory)
     if np.any(co):  # a dead time longer than the record leaves nothing of it
         basis = np.linalg.qr(np.column_stack([basis, *co]))[0]
-    response = np.concatenate([[0.0], memory[:-1]])
+    response, poles = np.concatenate([[0.0], memory[:-1]]), model.c
     if second:
         response = filtered(spectrum(response), n, np.exp(-np.arange(n, dtype=np.float64) / second))
-    return y, basis, response
+        poles = tuple(np.convolve(poles, (1.0, -math.exp(-1.0 / second))).tolist())
+    return y, basis, response, (0.0, 1.0, *poles[1:])

@@ -76,7 +76,7 @@ def _evenly(
     late : what co does behind the first lag and dead time. rows : of single turns, the likeliest first.
     """
     n = len(record.pv)
-    y, basis, response = whitened(record, lag, load, late)
+    y, basis, response, _ = whitened(record, lag, load, late)
     y = y - basis @ (basis.T @ y)
     power, noise = float(y @ y), n * record.resolution**2
 

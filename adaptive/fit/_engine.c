@@ -31,7 +31,7 @@
 #include "engine_c/valves.h"
 #include "engine_c/any_load.h"
 
-#define VERSION "14"
+#define VERSION "15"
 
 /* ---------------------------------------------------------------- the door: buffers of numbers, looked at before use */
 
@@ -564,19 +564,23 @@ static PyObject *py_any_load(View *v, Work *w, PyObject *const *from) {
     return failed ? PyErr_NoMemory() : Py_NewRef(Py_None);
 }
 
-/* pv, response and rest, from the first three arguments, and numbers from the fourth: the share, lacks and stays. */
+/* pv, response and rest, from the first three arguments, and numbers from the fourth: the share, then top and bottom, or none. */
 static int read_stepped(Stepped *s, View *v, PyObject *const *from) {
     static const char *const NAMES[] = {"pv", "response", "rest", "numbers"};
     for (int i = 0; i < 4; i++)
         if (finite_view(from[i], &v[i], NAMES[i], 0))
             return -1;
-    if (sized(&v[3], 3, "numbers"))
-        return -1;
-    s->unique = v[3].x[0], s->lacks = v[3].x[1], s->stays = v[3].x[2];
+    s->poles = v[3].n - 3;
+    if (v[3].n != 1 && !(s->poles >= 0 && s->poles <= MOST_POLES))
+        return refuse("numbers: a share, and a filter of two terms and 0 to 4 poles or none are needed");
+    s->unique = v[3].x[0];
+    memset(s->bottom, 0, sizeof s->bottom);
+    if (s->poles >= 0)
+        memcpy(s->top, v[3].x + 1, sizeof s->top), memcpy(s->bottom, v[3].x + 3, (size_t)s->poles * sizeof *s->bottom);
     s->pv = v[0].x, s->response = v[1].x, s->rest = v[2].x, s->n = v[0].n;
     s->rest_count = s->n ? v[2].n / s->n : 0;
-    if (s->n < 2 || s->rest_count > 16 || !(s->unique >= 0 && s->stays <= 1))
-        return refuse("steps: two samples, at most 16 columns beside the steps, a share from 0 and a pole are needed");
+    if (s->n < 2 || s->rest_count > 16 || !(s->unique >= 0))
+        return refuse("steps: two samples, at most 16 columns beside the steps and a share from 0 are needed");
     return sized(&v[1], s->n, "response") || sized(&v[2], s->rest_count * s->n, "rest") ? -1 : 0;
 }
 

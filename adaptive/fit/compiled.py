@@ -238,13 +238,13 @@ def any_load(
 
 
 def steps_chosen(
-    pv: FloatArray, response: FloatArray, rest: FloatArray, unique: float, most: int, falls: tuple[float, float]
+    pv: FloatArray, response: FloatArray, rest: FloatArray, unique: float, most: int, form: Sequence[float]
 ) -> tuple[list[int], FloatArray]:
     """Steps of pv through one response, each where it takes away most: their columns, and sums of squares before and
-    after each. rest : orthonormal columns of what is there without any, shape (n, number). falls : lacks and stays of
-    a response 1 - lacks stays^rows; any other one stays -1.
+    after each. rest : orthonormal columns of what is there without any, shape (n, number). form : of
+    the response, see steps_chosen of valve/plateaus.py.
     """
-    rows, left, numbers = np.empty(most), np.empty(most + 1), np.array((unique, *falls))
+    rows, left, numbers = np.empty(most), np.empty(most + 1), np.array((unique, *form))
     pv, response, columns = (np.ascontiguousarray(x) for x in (pv, response, rest.T))
     count = _engine.steps(pv, response, columns, numbers, rows, left)
     return rows[:count].astype(int).tolist(), left[: count + 1]
@@ -252,10 +252,10 @@ def steps_chosen(
 
 def steps_moved(
     pv: FloatArray, response: FloatArray, rest: FloatArray, unique: float, chosen: Sequence[int], reach: int,
-    passes: int, falls: tuple[float, float],
+    passes: int, form: Sequence[float],
 ) -> tuple[list[int], float]:  # fmt: skip
     """Every step at its best column within reach, so many times; and the sum of squares that is left."""
-    rows, numbers = np.array(chosen, dtype=np.float64), np.array((unique, *falls))
+    rows, numbers = np.array(chosen, dtype=np.float64), np.array((unique, *form))
     pv, response, columns = (np.ascontiguousarray(x) for x in (pv, response, rest.T))
     left = _engine.move_steps(pv, response, columns, numbers, rows, reach, passes)
     return rows.astype(int).tolist(), left

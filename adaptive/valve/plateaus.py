@@ -12,6 +12,7 @@ differences, and no finer than 0.4 % of pv's range.
 """
 
 import math
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -122,12 +123,12 @@ def _with_lag(pv: FloatArray, lag: float, sigma: float) -> tuple[float, list[int
     """Criterion and columns of the best description with one lag."""
     n, responses = len(pv), _Responses(len(pv), lag)
     rest = _rest(n, lag)
-    falls = (1.0, math.exp(-1.0 / lag)) if lag else (0.0, 0.0)
-    rows, left = steps_chosen(pv, responses.to_jump, rest, LEAST_NEW_SHARE, MOST_JUMPS, falls)
+    form = through_lag(*((1.0, math.exp(-1.0 / lag)) if lag else (0.0, 0.0)))
+    rows, left = steps_chosen(pv, responses.to_jump, rest, LEAST_NEW_SHARE, MOST_JUMPS, form)
     prices = [price(rss, n, sigma, jumps) for jumps, rss in enumerate(left)]
     chosen = rows[: prices.index(min(prices))]
     if (engine := compiled()) is not None:
-        asked = pv, responses.to_jump, rest, LEAST_NEW_SHARE, chosen, MOVED_ROWS, MOVED_PASSES, falls
+        asked = pv, responses.to_jump, rest, LEAST_NEW_SHARE, chosen, MOVED_ROWS, MOVED_PASSES, form
         chosen, rss = engine.steps_moved(*asked)
     else:
         for _ in range(MOVED_PASSES):
@@ -136,18 +137,22 @@ def _with_lag(pv: FloatArray, lag: float, sigma: float) -> tuple[float, list[int
     return price(rss, n, sigma, len(chosen)), chosen
 
 
+def through_lag(lacks: float, stays: float) -> tuple[float, ...]:
+    """The form of a response that is 1 - lacks stays^rows."""
+    return (1.0 - lacks, lacks - stays, -1.0 - stays, stays)
+
+
 def steps_chosen(
-    pv: FloatArray, rise: FloatArray, basis: FloatArray, unique: float, most: int,
-    falls: tuple[float, float] = (0.0, -1.0),
-) -> tuple[list[int], list[float]]:  # fmt: skip
+    pv: FloatArray, rise: FloatArray, basis: FloatArray, unique: float, most: int, form: Sequence[float] = ()
+) -> tuple[list[int], list[float]]:
     """Columns of up to so many steps, each where it takes away most, and sums of squares before and after each.
 
     rise : response to a step. basis : orthonormal columns of what is there without any. unique : a column of which less
-    than this share is not explained by the others is no further step. falls : lacks and stays of a response that is
-    1 - lacks stays^rows, for the compiled engine; any other one stays -1.
+    than this share is not explained by the others is no further step. form : for the compiled engine, b0, b1, a1 ... a4
+    of a response (b0 + b1 q)/(1 + a1 q + ... + a4 q^4), q the backward shift; empty of any other.
     """
     if (engine := compiled()) is not None:
-        found, taken_away = engine.steps_chosen(pv, rise, basis, unique, most, falls)
+        found, taken_away = engine.steps_chosen(pv, rise, basis, unique, most, form)
         return found, taken_away.tolist()
     rows = np.arange(len(pv))
     since = rows[:, None] - rows[None, 1:]

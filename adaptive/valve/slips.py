@@ -33,7 +33,7 @@ from retuner.adaptive.identification.candidate import MODEL_ERROR, Candidate, Ca
 from retuner.adaptive.identification.loads import improved
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray, distinct, median
-from retuner.adaptive.valve.plateaus import steps_chosen
+from retuner.adaptive.valve.plateaus import steps_chosen, through_lag
 from retuner.adaptive.valve.valve_fit import with_best_gain
 from retuner.schedule.late_dataclass import dataclass, replace
 
@@ -231,8 +231,8 @@ def _greedy(pv: FloatArray, lag: float, second: float) -> tuple[float, list[int]
     dynamics, middle = Dynamics(second * lag, 1 / lag), np.arange(0.5, n, dtype=np.float64)
     rise = dynamics.step(middle) / lag  # of a gain of one
     rest, _ = np.linalg.qr(np.stack([np.ones(n), rise, dynamics.impulse(middle)][: 3 if second else 2], axis=1))
-    falls = (0.0, -1.0) if second else (math.exp(-0.5 / lag), math.exp(-1.0 / lag))
-    found, left = steps_chosen(pv, rise, rest, UNIQUE, min(MOST_SLIPS, n // ROWS_PER_STEP), falls)
+    form = () if second else through_lag(math.exp(-0.5 / lag), math.exp(-1.0 / lag))
+    found, left = steps_chosen(pv, rise, rest, UNIQUE, min(MOST_SLIPS, n // ROWS_PER_STEP), form)
     prices = [n * math.log(max(rss, 1e-300) / n) + LOAD_COST * i * math.log(n) for i, rss in enumerate(left)]
     least = min(prices)
     return least, found[: prices.index(least)]

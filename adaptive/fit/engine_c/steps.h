@@ -6,21 +6,31 @@
 
 #include "misfit.h"
 
-/* Column j is a step at row j + 1: its response from there on. lacks, stays : a response through one lag is 1 - lacks stays^rows;
- * stays is negative of any other. rest : (rest_count, n), orthonormal, of what is there without any step. A step is a further
- * one where more than `unique` of its column is not explained by the others. */
+enum { MOST_POLES = 4 };
+static const double FADED_STEP = 1e-200; /* what is left of a response is nothing below this */
+
+/* Column j is a step at row j + 1: its response from there on. top, bottom : the response is that of the filter (top[0] + top[1] q) /
+ * (1 + bottom[0] q + ...) to an impulse; without a filter (poles < 0) it is any other. rest : (rest_count, n), orthonormal, of
+ * what is there without any step. A step is a further one where more than `unique` of its column is not explained by the
+ * others. */
 typedef struct {
     const double *pv, *response, *rest;
-    Py_ssize_t n, rest_count;
-    double unique, lacks, stays;
+    Py_ssize_t n, rest_count, poles;
+    double unique, top[2], bottom[MOST_POLES];
 } Stepped;
 
-/* Products of a signal with every column: through one lag each follows from the next. */
+/* Products of a signal with every column: behind a filter each follows from the next ones. */
 static void against(const Stepped *s, const double *x, double *out) {
-    double sum = 0, lacking = 0;
+    double one = 0, two = 0, three = 0, four = 0;
     for (Py_ssize_t j = s->n - 2; j >= 0; j--) {
-        sum += x[j + 1], lacking = x[j + 1] + s->stays * lacking;
-        out[j] = s->stays < 0 ? dot(x + j + 1, s->response, s->n - 1 - j) : sum - s->lacks * lacking;
+        if (s->poles < 0) {
+            out[j] = dot(x + j + 1, s->response, s->n - 1 - j);
+            continue;
+        }
+        double now = x[j + 1] - s->bottom[3] * four - s->bottom[2] * three - s->bottom[1] * two - s->bottom[0] * one;
+        now = fabs(now) < FADED_STEP ? 0 : now;
+        out[j] = s->top[0] * now + s->top[1] * one;
+        four = three, three = two, two = one, one = now;
     }
 }
 
@@ -66,8 +76,10 @@ static Py_ssize_t choose_steps(const Stepped *s, Py_ssize_t most, double *rows, 
         double best = 0, *new = basis + (s->rest_count + count) * n;
         Py_ssize_t chosen = -1;
         for (Py_ssize_t j = 0; j + 1 < n; j++)
-            if (unexplained[j] > s->unique * whole[j] && along[j] * along[j] / unexplained[j] > best)
-                best = along[j] * along[j] / unexplained[j], chosen = j;
+            told[j] = unexplained[j] > s->unique * whole[j] ? along[j] * along[j] / unexplained[j] : 0;
+        for (Py_ssize_t j = 0; j + 1 < n; j++)
+            if (told[j] > best)
+                best = told[j], chosen = j;
         if (chosen < 0)
             break;
         put_column(s, chosen, new);

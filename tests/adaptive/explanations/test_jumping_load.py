@@ -5,11 +5,14 @@ import math
 import numpy as np
 import pytest
 
-from retuner.adaptive.explanations.jumping_load import with_jumps
+from retuner.adaptive.explanations.jumping_load import LOADS as THAT_JUMP
+from retuner.adaptive.explanations.jumping_load import UNIQUE, whitened, with_jumps
 from retuner.adaptive.explanations.process_grid import DEAD_TIMES, GAINS, LAGS, shapes
 from retuner.adaptive.explanations.valve_odds import log_odds_of_valve
 from retuner.adaptive.explanations.wandering_load import TEMPER, Prepared, log_likelihood
 from retuner.adaptive.fit import engine
+from retuner.adaptive.valve.plateaus import LAGS as OF_PLATEAUS
+from retuner.adaptive.valve.plateaus import steps_chosen, through_lag
 
 N, GAIN = 400, 1.2
 LOADS = {
@@ -84,3 +87,24 @@ def test_jumps_of_a_load_are_no_valve_and_one_that_slips_is_seen_under_them() ->
     )
     assert all(log_odds_of_valve([one], 1) < 0.0 for one in free)
     assert log_odds_of_valve([record("pulses", noise=0.01, slips=2.0)], 1) > 20.0
+
+
+@pytest.mark.parametrize("load", THAT_JUMP)
+@pytest.mark.parametrize("second", [0.0, 6.0])
+def test_shocks_are_found_by_recursion_as_by_products_with_each(load: tuple[float, int], second: float) -> None:
+    of = record("jumps")
+    y, basis, response, form = whitened(of, 15.0, load, of.co, second)
+    rows, left = steps_chosen(y, response, basis, UNIQUE, 8, form)
+    one_by_one = steps_chosen(y, response, basis, UNIQUE, 8)
+    assert rows == one_by_one[0]
+    np.testing.assert_allclose(left, one_by_one[1], rtol=1e-9)
+
+
+@pytest.mark.parametrize("lag", OF_PLATEAUS)
+def test_steps_through_a_lag_are_found_by_recursion_as_by_products_with_each(lag: float) -> None:
+    pv, (lacks, stays) = record("pulses").pv, (1.0, math.exp(-1.0 / lag)) if lag else (0.0, 0.0)
+    rise, basis = 1.0 - lacks * stays ** np.arange(N), np.full((N, 1), N**-0.5)
+    rows, left = steps_chosen(pv, rise, basis, UNIQUE, 8, through_lag(lacks, stays))
+    one_by_one = steps_chosen(pv, rise, basis, UNIQUE, 8)
+    assert rows == one_by_one[0]
+    np.testing.assert_allclose(left, one_by_one[1], rtol=1e-9)
