@@ -163,7 +163,8 @@ def _compared(record: Prepared, direction: int, tone: ToneColumns) -> _Compared 
     n, spectra, short = len(record.co), spectrum(record.co), [pole_of(lag) for lag in SHORT]
     lagged = [filtered(spectra, n, impulse_response((1.0 - pole,), (1.0, -pole), n)) for pole in short]
     co = np.array([record.co, *lagged])
-    by_load = np.maximum(*(_screened(record, direction, tone, rows, OCTAVES).max(axis=1) for rows in (co, moved[0][1])))
+    sides = [_screened(record, direction, tone, rows, OCTAVES).max(axis=1) for rows in (co, moved[0][1])]
+    by_load = np.maximum(*(side - side.max() for side in sides))  # either side is compared under its own likeliest ones
     loads = [OCTAVES[i] for i in np.argsort(-by_load, kind="stable")[:CLOSER_LOADS]]
     free = float(_likeliest(record, direction, tone, co, loads, len(FREE_LAGS)).max())
     said, likeliest, beside = [], [], []

@@ -271,6 +271,12 @@ def test_a_healthy_flow_loop_does_not_bend_where_its_first_tenth_is_cropped() ->
     assert found.causes["nonlinear"] < 0.4
 
 
+def test_a_healthy_flow_loop_has_no_valve_by_every_second_row() -> None:
+    """With the valve's likeliest loads on both sides, and not the loop's own, it stuck by 65 %."""
+    record = recorded("FIC10201_1018_1.csv")
+    assert diagnose_windows([record.part(slice(None, None, 2))]).diagnosis.causes["stiction"] < 0.25
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("in_time", [1.0, 1.0 / 60.0])
 def test_a_valve_that_its_pv_shows_is_a_rival_of_load_steps_in_any_unit_of_time(in_time: float) -> None:
