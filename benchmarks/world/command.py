@@ -46,7 +46,8 @@ BANDS = ((0.0, 0.5), (0.5, 0.7), (0.7, 0.85), (0.85, 0.95), (0.95, 1.01))
 class Score:
     """One case. said : the cause named. odds : of the four classes. ms_after : with the settings given, nan without.
 
-    then, then_odds : the cause named, and the odds, once the test that was proposed was made as well.
+    then, then_odds : the cause named, and the odds, once the test that was proposed was made as well. without : why no
+    settings are given, where the cause that is named asks for some.
     """
 
     index: int
@@ -59,6 +60,7 @@ class Score:
     cpu_s: float
     then: str = ""
     then_odds: dict[str, float] = field(default_factory=dict)
+    without: str = ""
 
 
 def scored(seed: int, kind: str, folder: str, fold: int | None, test: bool, historian: bool, index: int) -> Score:
@@ -86,7 +88,8 @@ def scored(seed: int, kind: str, folder: str, fold: int | None, test: bool, hist
         new = result.recommended
         after = margins(case.process, new.kp, new.kp / new.ki / interval_s if new.ki else 1e9)[0]
     said = AS.get(str(told.cause), str(told.cause))
-    return Score(index, case.cause, said, odds, case.ms, after, size, cpu_s, then, then_odds)
+    without = result.diagnosis.reason.partition(". No settings: ")[2].partition(";")[0]
+    return Score(index, case.cause, said, odds, case.ms, after, size, cpu_s, then, then_odds, without)
 
 
 def shares(told: Diagnosis) -> dict[str, float]:
@@ -111,6 +114,8 @@ def table(scores: list[Score]) -> list[str]:
     due = [s for s in scores if s.true in {"sluggish", "aggressive"}]
     given = [s for s in due if not math.isnan(s.ms_after)]
     lines.append(f"settings given where due           {share(len(given), len(due))}")
+    kept = Counter(s.without or f"named {s.said}" for s in due if math.isnan(s.ms_after))
+    lines += [f"  {count:3} not: {why}" for why, count in kept.most_common()]
     false = [s for s in scores if s.true not in {"sluggish", "aggressive"} and not math.isnan(s.ms_after)]
     lines.append(f"change of gains where none is due  {share(len(false), n - len(due))}")
     if given:
