@@ -411,7 +411,7 @@ def _verdict(
     """
     cause, p = next(iter(causes.items()))
     shares = {str(c): q for c, q in causes.items()}
-    by_fit = weight >= HALF and told.diagnosis.cause == cause
+    by_fit = weight >= HALF and told.diagnosis.cause == cause and (told.tuning is None or p >= settings.more_odds)
     open_to_odds = sure and not (by_fit and told.tuning is not None)
     # an oscillation lasts and no setpoint step moved the loop: a load that oscillates may be all of it
     alone = not any(setpoint_changes(w) for w, _ in open_ones) and any(_lasts(f) for _, f in open_ones)

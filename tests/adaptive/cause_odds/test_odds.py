@@ -16,9 +16,11 @@ from retuner.adaptive.cause_odds.odds import _mixed, diagnose_records
 from retuner.adaptive.cause_odds.odds_settings import OddsSettings
 from retuner.adaptive.controller_settings.read_off import settings_in_force
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
+from retuner.adaptive.diagnosis.tuning_verdict import RecordVerdict
 from retuner.adaptive.explanations.valve_odds import WEIGHT
 from retuner.adaptive.explanations.wandering_load import MOST_SAMPLES, Prepared
 from retuner.adaptive.process.model import ProcessType
+from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.signals.sample import Window
 from retuner.diagnosing import diagnose, diagnose_windows
 from retuner.schedule.gains import PidGains
@@ -381,6 +383,30 @@ def test_a_slow_cycle_of_a_valve_is_seen_in_rows_closer_than_it_needs() -> None:
         stands = at[i] = co[i] if abs(co[i] - stands) > 4.0 else stands
     found = odds._walk([Window(np.arange(float(n)), sp, pv, co)], gains, 1, OddsSettings())
     assert found.valve > 2.0
+
+
+@pytest.mark.parametrize(("told", "given"), [(Cause.UNKNOWN, True), (Cause.STICTION, False)])
+def test_no_settings_where_the_record_by_itself_shows_a_valve_that_sticks(
+    monkeypatch: pytest.MonkeyPatch, told: Cause, given: bool
+) -> None:
+    """Loads that jump explain its slips, and so a loop that is too tight, by more than the valve's odds."""
+    verdict = RecordVerdict(Diagnosis(told, 0.6, {}, "by its shapes"))
+    monkeypatch.setattr(odds, "diagnose_window", lambda *_, **__: verdict)
+    found = diagnose_records([loop(4.0, step=4.0)], PidGains(4.0, 0.2), settings=OddsSettings())
+    assert found.found.diagnosis.cause in {Cause.AGGRESSIVE, Cause.SLOW_INTEGRATING}
+    assert (found.settings is not None) is given
+    assert (odds.STICKS in found.found.diagnosis.reason) is not given
+
+
+@pytest.mark.parametrize(("p", "by_fit"), [(0.5, False), (0.7, True)])
+def test_settings_of_a_single_fit_ask_for_the_odds_that_all_settings_do(p: float, by_fit: bool) -> None:
+    """A loop in order under real loads was calmed by a fit that had 50 % (12201)."""
+    tuning = Tuning("simc", "series", PidGains(1.0, 0.05))
+    told = RecordVerdict(Diagnosis(Cause.AGGRESSIVE, 0.9, {}, "by its margins", settled=True), tuning=tuning)
+    walk = cast("odds.Walk", SimpleNamespace(moved=0.0, period_s=math.nan))
+    causes, window = {Cause.AGGRESSIVE: p, Cause.OK: 1.0 - p}, loop()
+    found = odds._verdict(told, causes, 0.9, None, walk, [(window, told)], OddsSettings(), sure=True)
+    assert (found.found.tuning is not None) is by_fit
 
 
 def test_a_sluggish_loop_without_settings_is_told_why() -> None:
