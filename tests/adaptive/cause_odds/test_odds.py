@@ -364,7 +364,7 @@ def test_more_gain_under_less_integral_action_answers_a_slow_swing_and_a_sluggis
 ) -> None:
     found = SimpleNamespace(tuning=SimpleNamespace(gains=PidGains(kp, 0.05)))
     monkeypatch.setattr(odds, "worthwhile", lambda *_: found)
-    causes = {Cause.SLOW_INTEGRATING: 0.65, Cause.SLUGGISH: 0.22, Cause.STICTION: 0.08, Cause.OK: 0.05}
+    causes = {Cause.SLOW_INTEGRATING: 0.55, Cause.SLUGGISH: 0.32, Cause.STICTION: 0.08, Cause.OK: 0.05}
     known = cast("Any", SimpleNamespace(gains=PidGains(1.0, 0.1)))
     assert (odds._settings(causes, known, 0.2, OddsSettings())[0] is found) == given
 
