@@ -1,6 +1,6 @@
 """Records of the eight causes, each a clear case by construction and by the margins of the true process."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
@@ -16,7 +16,6 @@ from cases.signals import coloured, steps
 from retuner.schedule.gains import PidGains
 
 CAUSES = ("ok", "aggressive", "sluggish", "slow_integrating", "stiction", "external", "saturation", "noise")
-TUNING = frozenset({"ok", "aggressive", "sluggish", "slow_integrating"})
 SELF_REGULATING = tuple(x for x in FAMILIES if x not in INTEGRATING)
 LAG_DOMINANT = ("first", "second", "batch-p3", "batch-p7", "diffusion")
 TRIES = 400
@@ -41,9 +40,14 @@ def first_that_fits(rng: np.random.Generator, maker: Maker, group: str) -> Diagn
 
 def cases(seed: int, count: int, only: str | None = None) -> Iterator[DiagnosisCase]:
     """The first `count` cases of a seed, or of one cause of it."""
-    for index in range(count if only is None else count * len(CAUSES)):
-        if only is None or CAUSES[index % len(CAUSES)] == only:
-            yield case(seed, index)
+    return taking_turns(case, CAUSES, seed, count, only)
+
+
+def taking_turns(
+    made: Callable[[int, int], DiagnosisCase], names: Sequence[str], seed: int, count: int, only: str | None
+) -> Iterator[DiagnosisCase]:
+    """The first `count` cases of groups that take turns, or of one of them."""
+    return (made(seed, i) for i in range(count * (len(names) if only else 1)) if only in {None, names[i % len(names)]})
 
 
 def loop_for(rng: np.random.Generator, cause: str) -> Loop:

@@ -124,8 +124,6 @@ def iae(process: LinearProcess, gains: PidGains, h_s: float, n: int, *, setpoint
     return float(np.sum(error) * h_s)
 
 
-STEPS_PER_THETA = 12
-"""Finest stepping of the J simulation in the effective dead time."""
 MOST_STEPS = 8000
 
 

@@ -36,6 +36,7 @@ from cases.diagnosis import (
     loop_for,
     ordered_loop,
     stiction_case,
+    taking_turns,
     tuning_case,
 )
 from cases.fiction import fast_triangle, load_after_step, standing_valve
@@ -287,7 +288,4 @@ def case(seed: int, index: int, trap: str | None = None) -> DiagnosisCase:
 
 def cases(seed: int, count: int, only: str | None = None) -> Iterator[DiagnosisCase]:
     """The first `count` cases of a seed, or of one trap of it."""
-    names = list(TRAPS)
-    for index in range(count if only is None else count * len(names)):
-        if only is None or names[index % len(names)] == only:
-            yield case(seed, index)
+    return taking_turns(case, list(TRAPS), seed, count, only)

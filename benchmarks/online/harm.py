@@ -19,12 +19,13 @@ limit, on the true process without valve and disturbance (judge.py).
 
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 
 import numpy as np
 from cases.case import FloatArray
 from cases.cycling import LONGEST_PERIOD, limit_cycle, sticking
-from cases.making import own_period_s, quantiser
+from cases.making import NotClear, own_period_s, quantiser
 from cases.plant import FAMILIES, INTEGRATING, log_uniform
 from cases.setting import Loop, draw_loop, resampled, scaled
 from cases.signals import Valve, coloured, oscillation, random_walk
@@ -94,26 +95,27 @@ def run(task: Task) -> Row:
 def scene_of(kind: str, rng: np.random.Generator) -> Scene:
     """The first draw that can be had."""
     for _ in range(TRIES):
-        found = MAKERS[kind](rng)
-        if found is not None:
-            return found
+        with suppress(NotClear):
+            return MAKERS[kind](rng)
     raise RuntimeError(f"no loop fits {kind} in {TRIES} draws")
 
 
-def in_spec_gains(rng: np.random.Generator, loop: Loop) -> PidGains | None:
-    """Settings near the best that are in spec, as the judge sees it; None when the draw is not."""
+def in_spec_gains(rng: np.random.Generator, loop: Loop) -> PidGains:
+    """Settings near the best that are in spec, as the judge sees it. Raises NotClear."""
     gains = scaled(loop.best, log_uniform(rng, 0.8, 1.1), log_uniform(rng, 0.9, 1.2))
     judge = Judge(loop.process, loop.dt_s, (loop.best, loop.theta_s))
-    return gains if judge.of(gains).in_spec else None
+    if not judge.of(gains).in_spec:
+        raise NotClear
+    return gains
 
 
-def quiet(rng: np.random.Generator) -> Scene | None:
+def quiet(rng: np.random.Generator) -> Scene:
     """An hour at rest."""
     loop = rescaled(draw_loop(rng, str(rng.choice(FAMILIES))), log_uniform(rng, *SAMPLE_TIMES_S))
     state = rng.uniform()
     gains = in_spec_gains(rng, loop) if state < 0.6 else scaled(loop.best, 1 / 3 if state < 0.8 else 1.6, 1.0)
-    if gains is None or not loop.margins(gains).stable:
-        return None
+    if not loop.margins(gains).stable:
+        raise NotClear
     n = int(HOUR_S / loop.dt_s)
     shaped = rng.standard_normal(n)
     if rng.uniform() < 0.5:
@@ -147,17 +149,15 @@ def rescaled(loop: Loop, dt_s: float) -> Loop:
     return resampled(whole, dt_s)
 
 
-def stuck(rng: np.random.Generator) -> Scene | None:
+def stuck(rng: np.random.Generator) -> Scene:
     """A limit cycle by a valve that sticks."""
     loop = draw_loop(rng, str(rng.choice(SELF_REGULATING)), (5.0, 20.0))
     gains = in_spec_gains(rng, loop)
-    if gains is None:
-        return None
     size = loop.room * log_uniform(rng, 0.03, 0.25)
     make, jump = sticking(rng, str(rng.choice(["kano", "he", "irregular"])), size)
     found = limit_cycle(loop, gains, make, 2 * size)
     if found is None or found[1] < 0.02 * abs(loop.process.k) * jump or found[0] > LONGEST_PERIOD * loop.dt_s:
-        return None
+        raise NotClear
     period, swing = found
     n = int(min(CYCLES * period / loop.dt_s, MOST_SAMPLES))
     noise = min(log_uniform(rng, 0.003, 0.04) * swing, 0.1 * size / abs(gains.kp))
@@ -176,15 +176,13 @@ def steps_of(rng: np.random.Generator, n: int, size: float) -> list[tuple[int, f
     return [(0, 0.0), *((place, size * ((i + 1) % 2)) for i, place in enumerate(places))]
 
 
-def toned(rng: np.random.Generator) -> Scene | None:
+def toned(rng: np.random.Generator) -> Scene:
     """An oscillation from outside."""
     loop = draw_loop(rng, str(rng.choice(FAMILIES)), (5.0, 20.0))
     gains = in_spec_gains(rng, loop)
-    if gains is None:
-        return None
     period = log_uniform(rng, 0.35, 8.0) * own_period_s(loop, gains)
     if not 6 < period / loop.dt_s < LONGEST_PERIOD:
-        return None
+        raise NotClear
     n = int(min(CYCLES * period / loop.dt_s, MOST_SAMPLES))
     shape = "sine" if rng.uniform() < 0.7 else str(rng.choice(["triangle", "saw", "filtered-square", "pulses"]))
     wave = oscillation(rng, n, period / loop.dt_s, shape, float(rng.choice([0.0, 0.05])))
@@ -197,12 +195,10 @@ def toned(rng: np.random.Generator) -> Scene | None:
     return Scene(loop, gains, load, out, steps_of(rng, n, float(rng.uniform(0.5, 5.0))), SPAN_OVER_SWING)
 
 
-def limited(rng: np.random.Generator) -> Scene | None:
+def limited(rng: np.random.Generator) -> Scene:
     """Steps beyond what the output can do, and steps that it can."""
     loop = draw_loop(rng, str(rng.choice(SELF_REGULATING)), (5.0, 20.0))
     gains = in_spec_gains(rng, loop)
-    if gains is None:
-        return None
     length = int(log_uniform(rng, 25.0, 80.0) * loop.theta_s / loop.dt_s)
     n = min(STEPS * length, MOST_SAMPLES)
     reach = loop.room * abs(loop.process.k)
