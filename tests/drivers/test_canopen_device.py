@@ -8,12 +8,12 @@ from typing import Any
 
 import can
 import pytest
+from answering_wire import Wire, nothing
 
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.config.bench_plants import known_plant
 from retuner.config.described import foreign_settings, make_access
 from retuner.config.loading import parse_config
-from retuner.drivers.bus.link_settings import LinkSettings
 from retuner.drivers.canopen.virtual_node import VirtualCanOpenNode
 from retuner.drivers.device import (
     CommandDone,
@@ -62,40 +62,9 @@ CIA402 = LOOP.format(
 NEW = IdealGains(1.25, 62.0, 3.0).to_parallel()
 
 
-def nothing(message: can.Message) -> bool:
-    del message
-    return False
-
-
 def time_first(old: Numbers, new: Numbers, back: bool) -> tuple[int, ...]:
     del old, new, back
     return (1, 2, 0)
-
-
-class Wire:
-    """A link on which the node answers at once; `lost` says which frames never arrive."""
-
-    settings, state = LinkSettings(), LinkState.UP
-
-    def __init__(self, node: Any) -> None:
-        self.node = node
-        self.waiting: list[can.Message] = []
-        self.sent: list[can.Message] = []
-        self.noted: list[can.Message] = []
-        self.lost = nothing
-
-    def send(self, message: can.Message) -> bool:
-        self.sent.append(message)
-        if not self.lost(message):
-            self.waiting += self.node.receive(message)
-        return True
-
-    def note(self, message: can.Message) -> None:
-        self.noted.append(message)
-
-    def receive_all(self) -> list[can.Message]:
-        waiting, self.waiting = self.waiting, []
-        return [message for message in waiting if not self.lost(message)]
 
 
 class Stage:

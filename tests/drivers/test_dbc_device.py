@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 import can
 import pytest
+from answering_wire import Wire
 
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.config.described import foreign_settings, make_access, mapping_of
 from retuner.config.loading import parse_config
-from retuner.drivers.bus.link_settings import LinkSettings
 from retuner.drivers.device import (
     CommandDone,
     DeviceSilentError,
@@ -79,7 +79,7 @@ class Axis:
             frames.insert(0, frame(0x01, struct.pack("<IB3x", self.error, self.state)))
         return frames
 
-    def take(self, message: can.Message) -> list[can.Message]:
+    def receive(self, message: can.Message) -> list[can.Message]:
         if message.arbitration_id >> 5 != NODE or message.is_extended_id:
             return []
         self.fed += 1
@@ -96,30 +96,6 @@ class Axis:
 
 def frame(command: int, data: bytes) -> can.Message:
     return can.Message(arbitration_id=NODE << 5 | command, is_extended_id=False, data=data)
-
-
-class Wire:
-    """A link on which the axis answers at once."""
-
-    settings, state = LinkSettings(), LinkState.UP
-
-    def __init__(self, axis: Axis) -> None:
-        self.axis = axis
-        self.waiting: list[can.Message] = []
-        self.sent: list[can.Message] = []
-        self.noted: list[can.Message] = []
-
-    def send(self, message: can.Message) -> bool:
-        self.sent.append(message)
-        self.waiting += self.axis.take(message)
-        return True
-
-    def note(self, message: can.Message) -> None:
-        self.noted.append(message)
-
-    def receive_all(self) -> list[can.Message]:
-        waiting, self.waiting = self.waiting, []
-        return waiting
 
 
 class Stage:
