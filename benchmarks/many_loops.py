@@ -24,6 +24,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, BinaryIO
 
+from retuner.drivers.protocol.frames import HIGHEST_NODE
 from retuner.ledger import LedgerReader
 
 GROUP = "239.74.163.48"
@@ -163,7 +164,7 @@ def told(folder: Path) -> dict[str, Any]:
 def main() -> int:
     """Measure."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--loops", type=int, default=32)
+    parser.add_argument("--loops", type=int, default=32, choices=range(1, HIGHEST_NODE + 1), metavar="1..63")
     parser.add_argument("--rate", type=float, default=100.0)
     parser.add_argument("--seconds", type=float, default=90.0)
     parser.add_argument("--seed", type=int, default=1)
