@@ -282,7 +282,10 @@ def _integral_times(book: Book, drawn: LikelyProcesses) -> FloatArray:
 def _best(
     drawn: LikelyProcesses, gains: PidGains, candidates: Iterable[PidGains], settings: BookSettings, *, more: bool
 ) -> tuple[float, PidGains, FloatArray] | None:
-    """Worth, gains and Ms on each process of the candidate that is most worth a change; None where none is."""
+    """Worth, gains and Ms on each process of the candidate that is most worth a change; None where none is.
+
+    More action is on trial: what it may cost on a process is no more than that (gain), for whether it is worth it.
+    """
     (now, before), found = expected_cost(drawn, gains, settings.cost), []
     for new in candidates:
         peaks = drawn.peaks(new)
@@ -292,7 +295,7 @@ def _best(
         if not more and lets_go(drawn, gains, new, settings):
             continue
         worth = now - expected_cost(drawn, new, settings.cost)[0]
-        if worth >= settings.worth:
+        if max(worth, gain(drawn, gains, new, settings)[0] if more else worth) >= settings.worth:
             found.append((worth, new, peaks))
     return max(found, key=lambda one: one[0], default=None)
 

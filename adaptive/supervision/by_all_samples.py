@@ -416,7 +416,7 @@ def _proved_by_all_samples(found: Findings, own: Outcome, seen: AllSamples) -> O
         return None
     # Limits may leave a part of what was chosen that is worth nothing, or less: an action held, the other one cut
     stays, goes = (expected_cost(drawn, one, settings.book.cost)[0] for one in (record.in_force, proof.gains))
-    worth = stays - goes
+    worth = stays - goes if less else max(stays - goes, gain(drawn, record.in_force, proof.gains, settings.book)[0])
     if worth < settings.book.worth * proof.step:
         return None
     cause, odds, what = _cause_of(told, book, record.in_force, proof.gains, settings.book)

@@ -926,6 +926,19 @@ def _follows(
 
 def test_what_limits_leave_of_a_change_must_be_worth_it() -> None:
     """An action that was held while the other one was cut made a loop under a tone change its gains 43 times."""
+@pytest.mark.parametrize(("saves", "more"), [(0.3, True), (0.1, False)])
+def test_more_action_is_weighed_by_what_it_may_cost_on_trial(
+    monkeypatch: pytest.MonkeyPatch, saves: float, *, more: bool
+) -> None:
+    """A loop at J 14 stayed there: unstable processes, of 2 % of the odds, cost as much as the change saved."""
+    now = scaled(0.25)
+    book = replace(after(now, 3), leans=1, moved=1.0)
+    cost = settings_by_book.expected_cost
+    monkeypatch.setattr(settings_by_book, "expected_cost", lambda *a: (0.0, cost(*a)[1]))
+    monkeypatch.setattr(settings_by_book, "gain", lambda *_: (saves, 0.95))
+    assert (by_book(book, now, SETTINGS).tuning is not None) is more
+
+
     assert _follows(1, 1.0, 0.8)
     assert not _follows(1, 1.0, 0.8, held=True)
 
