@@ -217,11 +217,11 @@ def objection(found: Findings, own: Outcome, seen: AllSamples) -> Outcome | None
     by_models = numbers.gain if isinstance(numbers, ChoiceNumbers) else 0.0
     sure = not (shown and (look is None or _rests(found, look))) or better < 1.0 - settings.less_odds
     worse = tells and sure and (better < settings.borne_out if less else by_models + worth < 0.0)
-    steps = (away or worse or not seen_so) and _likelier_by_steps(found, book, less=less)
+    steps = (away or worse or not seen_so) and _likelier_by_steps(found, book)
     if not seen_so and not steps and (doubt := _doubt(found, own, proof, seen, less=less)):
         return found.unconfirmed(own, replace(doubt, reason=f"{told.words}; {doubt.reason}"))
     bad = tells and not (less or shown) and shares(drawn, new, settings)[0] >= settings.less_odds
-    if not (bad or ((away or worse) and not (steps and found.clear))):
+    if not (bad or ((away or worse) and not (steps and (less or found.clear)))):
         return None
     by_that = f"the change is better with {better:.0%} probability, its expected benefit {percent(worth)}"
     if away:
@@ -250,18 +250,13 @@ def _doubt(found: Findings, own: Outcome, proof: Proof, seen: AllSamples, *, les
     return Diagnosis(Cause.STICTION, HALF, {}, "a valve that sticks or has play explains all samples better")
 
 
-def _likelier_by_steps(found: Findings, book: Book, *, less: bool) -> bool:
-    """Whether a clear response (for more action also one that agrees with such) is likelier by its fit, loads being
-    steps, than by every process of the book's grid under a load that wanders, with or without a tone from outside:
-    by its samples, weighed as in the book, as often as clear ones agreed, and by how seldom a window is an odd one.
+def _likelier_by_steps(found: Findings, book: Book) -> bool:
+    """Whether a clear response, or one that agrees with what is known, is likelier by its fit, loads being steps, than
+    by every process of the book's grid under a load that wanders, with or without a tone from outside: by its samples,
+    weighed as in the book, as often as clear ones agreed, and by how seldom a window is an odd one.
     """
     learned, record = found.learned, found.record
-    if (
-        learned is None
-        or record.crossed
-        or found.joined
-        or not (found.clear or (not less and is_known(found, learned)))
-    ):
+    if learned is None or record.crossed or found.joined or not (found.clear or is_known(found, learned)):
         return False
     estimate, n, window = learned.estimate, len(record.window.pv), Prepared.at(record.window, book.dt_s)
     if len(window.pv) < FEWEST_ROWS:

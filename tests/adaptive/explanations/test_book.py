@@ -577,12 +577,13 @@ def put_to_the_book(
     at_rest: bool = False, first: bool = False, code: str = "", doubt: Diagnosis | None = None, settled: bool = True,
     grows: bool = True, leans: int = 0, diagnosis: Diagnosis | None = None, moved: float = 0.0, due: bool = True,
     n: int = 1000, clear: Window | None = None, explained: float = 0.0, height: float = 4.0,
-    alike: int = 1,
+    alike: int = 1, known: bool = False,
 ) -> Outcome:  # fmt: skip
     """A change that follows from a response, or with a code none, put to the book. times : of the good gains, in force.
 
     expected : benefit by the models. moved : of the book, by the setpoint. n : samples that are looked at. clear : of a
     response that is, and how much of pv its fit explains; None where it is not. alike : clear ones that agree.
+    known : it agrees with what is known, and is not clear.
     """
     now = scaled(times)
     window = recorded(now, 5, n, height=height)
@@ -597,7 +598,7 @@ def put_to_the_book(
         record=record, settings=RetunerSettings(1.0, 100.0), look=look, t_s=2000.0, alone=False, trial=Trial()
     )
     verdict: Any = SimpleNamespace(accepted=True, gains=scaled(to * times))
-    known: Any = SimpleNamespace(identifiable=settled, plausible=())
+    model: Any = SimpleNamespace(identifiable=settled, plausible=())
     estimate = SimpleNamespace(explained=explained, load_times_s=())
     learned: Any = SimpleNamespace(agreement=agreement, valve=None, estimate=estimate)
     own = Outcome(code, "", diagnosis=diagnosis) if code else Outcome("accepted", "", proof=verdict)
@@ -605,8 +606,9 @@ def put_to_the_book(
         own = replace(own, numbers=ChoiceNumbers(expected, 0.1, 0.0, 1.0, 1.6, 1.7, 1.8))
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(by_all_samples, "_doubt", lambda *_, **__: doubt)
-        shown_by = Excitation(clear=alike)
-        found = Findings(question, learned=learned, in_use=known, clear=clear is not None, excitation_now=shown_by)
+        patched.setattr(by_all_samples, "is_known", lambda *_: known)
+        is_clear, shown_by = clear is not None and not known, Excitation(clear=alike)
+        found = Findings(question, learned=learned, in_use=model, clear=is_clear, excitation_now=shown_by)
         return decide.gains_that_win(found, own)
 
 
@@ -737,17 +739,17 @@ def test_a_fit_that_is_likelier_than_every_process_of_the_book_is_not_objected_t
     assert (found.proof is None) is dropped
 
 
-@pytest.mark.parametrize("away", [False, True])
+@pytest.mark.parametrize(("away", "known"), [(False, False), (True, False), (True, True)])
 @pytest.mark.parametrize(("lead", "alike", "dropped"), [(12.0, 1, True), (30.0, 1, False), (12.0, 3, False)])
 def test_a_clear_response_counts_against_the_book_as_a_window_of_it_and_with_those_that_agree(
-    monkeypatch: pytest.MonkeyPatch, lead: float, alike: int, *, away: bool, dropped: bool
+    monkeypatch: pytest.MonkeyPatch, lead: float, alike: int, *, away: bool, known: bool, dropped: bool
 ) -> None:
     """One took a loop from J 1.2 to 12, against 99 % of four windows; four of them left another one at Ms 2.3, where
     the book told a process that runs away.
     """
     monkeypatch.setattr(by_all_samples, "lead_of_steps", lambda *_: lead)
     monkeypatch.setattr(by_all_samples, "lets_go", lambda *_: away)
-    found = put_to_the_book(1.0, 0.7, 0.5, clear=recorded(GOOD, 5), explained=0.99, alike=alike)
+    found = put_to_the_book(1.0, 0.7, 0.5, clear=recorded(GOOD, 5), explained=0.99, alike=alike, known=known)
     assert (found.proof is None) is dropped
 
 
@@ -924,8 +926,6 @@ def _follows(
     return outcome is not None
 
 
-def test_what_limits_leave_of_a_change_must_be_worth_it() -> None:
-    """An action that was held while the other one was cut made a loop under a tone change its gains 43 times."""
 @pytest.mark.parametrize(("saves", "more"), [(0.3, True), (0.1, False)])
 def test_more_action_is_weighed_by_what_it_may_cost_on_trial(
     monkeypatch: pytest.MonkeyPatch, saves: float, *, more: bool
@@ -939,6 +939,8 @@ def test_more_action_is_weighed_by_what_it_may_cost_on_trial(
     assert (by_book(book, now, SETTINGS).tuning is not None) is more
 
 
+def test_what_limits_leave_of_a_change_must_be_worth_it() -> None:
+    """An action that was held while the other one was cut made a loop under a tone change its gains 43 times."""
     assert _follows(1, 1.0, 0.8)
     assert not _follows(1, 1.0, 0.8, held=True)
 
