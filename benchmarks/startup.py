@@ -27,9 +27,9 @@ LIMITS = {
     "retuner check --help": (1.1, NUMPY),  # editable install has no import hook: too little to be a measure
     "retuner run --help": (1.2, NUMPY),
     "retuner experiment relay --help": (1.4, NUMPY),  # its many options are told one by one
-    IMPORTED: (2.3, NUMPY),  # two hundred dataclasses, whose methods are made when their first objects are
-    LOOP: (3.0, NUMPY),  # within 0.5 s where numpy takes 0.11 s
-    IDENTIFY: (9, NUMPY),  # 6.3 to 7.6, most of it how long numpy starts threads; 5.4 before loads that jump
+    IMPORTED: (2.7, NUMPY),  # two hundred dataclasses, whose methods are made when their first objects are
+    LOOP: (3.1, NUMPY),  # within 0.5 s where numpy takes 0.11 s
+    IDENTIFY: (11, NUMPY),  # 9.5 since loads that jump are hypotheses beside processes and valves
 }
 ROUNDS = 9
 RUN = "import sys; sys.argv[1:] = {}; from retuner.__main__ import main; sys.exit(main())"
@@ -71,6 +71,7 @@ def write_record(path: Path, samples: int = 1000) -> None:
 def cpu_s(arguments: list[str]) -> float:
     """User and system time of one run of this interpreter."""
     kept = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    kept["OPENBLAS_NUM_THREADS"] = "1"  # numpy takes 120 to 155 ms with threads, which only its import starts, else 83
     process = subprocess.Popen([sys.executable, "-P", *arguments], stdout=subprocess.DEVNULL, env=kept)
     _, status, usage = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)
