@@ -16,7 +16,7 @@ from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.without_model.proposal_without_model import WithoutModelSettings
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
-from retuner.schedule.table import GainTable
+from retuner.schedule.table import GainTable, Lookup
 
 CALM = PidGains(1.25, 1.25 / 40)
 """A quarter of the right gain: slow, and far from any limit."""
@@ -25,10 +25,11 @@ SETTINGS = RetunerSettings(1.0, 10.0, Mode.AUTO, fit=NOTHING_IDENTIFIABLE)
 
 
 def decided(
-    gains: PidGains, settings: RetunerSettings, upsets: int = 4, sine: float = 0.0, length: int = 400
-) -> list[Decision]:
+    gains: PidGains, settings: RetunerSettings, upsets: int = 4, sine: float = 0.0, length: int = 400,
+    lookup: Lookup = Lookup.HARD,
+) -> list[Decision]:  # fmt: skip
     """e^-5s/(50 s + 1) under PI, setpoint steps, noise of one percent; every commit is obeyed and confirmed."""
-    table = GainTable("loop", Regions("sp", "-", ("all",), -100.0, (), 100.0), (gains,))
+    table = GainTable("loop", Regions("sp", "-", ("all",), -100.0, (), 100.0), (gains,), lookup)
     retuner, rng = Retuner(table, settings), np.random.default_rng(3)
     x = integral = 0.0
     past, decisions, a = [0.0] * 5, [], float(np.exp(-1 / 50.0))
@@ -82,8 +83,10 @@ def test_a_tone_from_outside_moves_nothing() -> None:
 
 @pytest.mark.slow
 def test_a_pattern_gives_no_more_action_where_a_plausible_model_says_too_much() -> None:
-    """Ms 1.55, 1.72, 1.97, back, and on again: what does not carry settings still says how far not to go."""
-    decisions = decided(PidGains(4.5, 4.5 / 100), SETTINGS)
+    """Ms 1.55, 1.72, 1.97, back, and on again: what does not carry settings still says how far not to go. A table of
+    interpolated gains has no book, which would object first.
+    """
+    decisions = decided(PidGains(4.5, 4.5 / 100), SETTINGS, lookup=Lookup.INTERPOLATED)
     process = LinearProcess(1.0, (50.0,), (), 5.5)
     after = [sensitivity_peak(process, d.gains_after) for d in decisions if d.gains_after is not None]
     assert after
