@@ -28,7 +28,6 @@ from retuner.adaptive.explanations.likely_processes import (
     LikelyProcesses,
     WorthSettings,
     costs,
-    expected_cost,
     over_cells,
     process_model,
     quantile,
@@ -101,7 +100,7 @@ MORE_INTEGRAL: Kind = (LESS[:4], (*SHORTER[1:], *SHORTEST), 1.0, AT_ONCE)  # in 
 class BookNumbers(Numbers):
     """What the book says of the gains in force. high : probability that Ms is over its limit. room : that they have
     room. ms, ms_low, ms_high : the middle of its odds and where nine of ten lie. records : windows behind it. tone :
-    that one from outside moves the loop. worth : of the change, ln; None where none is worth making.
+    that one from outside moves the loop. worth : expected of the change, ln; None where none is worth making.
     """
 
     book_high: float
@@ -195,6 +194,19 @@ def gain(drawn: LikelyProcesses, now: PidGains, new: PidGains, settings: BookSet
     return float(drawn.weights @ np.clip(each, -settings.most, settings.most)), float(drawn.weights @ (each > 0.0))
 
 
+def worth_of(
+    drawn: LikelyProcesses, stays: FloatArray, goes: FloatArray, settings: BookSettings, *, more: bool
+) -> float:
+    """What a change is worth, ln. stays, goes : cost of the sets in force and new, on each process.
+
+    More action goes on trial, which bounds what it may cost on a process: unlikely ones on which it is unstable do not
+    outweigh what it saves on the others.
+    """
+    expected = float(drawn.weights @ stays) - float(drawn.weights @ goes)
+    bounded = float(drawn.weights @ np.clip(stays - goes, -settings.most, settings.most))
+    return max(expected, bounded) if more else expected
+
+
 def lets_go(drawn: LikelyProcesses, now: PidGains, new: PidGains, settings: BookSettings) -> bool:
     """Whether new gains hold processes that run away by themselves worse than those in force, on more than the share of
     the odds that may come out badly: Ms is larger, or gain is taken though HELD times as much would hold it. Its Ms is
@@ -282,11 +294,8 @@ def _integral_times(book: Book, drawn: LikelyProcesses) -> FloatArray:
 def _best(
     drawn: LikelyProcesses, gains: PidGains, candidates: Iterable[PidGains], settings: BookSettings, *, more: bool
 ) -> tuple[float, PidGains, FloatArray] | None:
-    """Worth, gains and Ms on each process of the candidate that is most worth a change; None where none is.
-
-    More action is on trial: what it may cost on a process is no more than that (gain), for whether it is worth it.
-    """
-    (now, before), found = expected_cost(drawn, gains, settings.cost), []
+    """Worth, gains and Ms on each process of the candidate that is most worth a change; None where none is."""
+    (stays, before), found = costs(drawn, gains, settings.cost), []
     for new in candidates:
         peaks = drawn.peaks(new)
         good = float(drawn.weights @ (peaks <= settings.ms_good)) >= settings.more_odds
@@ -294,9 +303,9 @@ def _best(
             continue
         if not more and lets_go(drawn, gains, new, settings):
             continue
-        worth = now - expected_cost(drawn, new, settings.cost)[0]
-        if max(worth, gain(drawn, gains, new, settings)[0] if more else worth) >= settings.worth:
-            found.append((worth, new, peaks))
+        goes = costs(drawn, new, settings.cost)[0]
+        if worth_of(drawn, stays, goes, settings, more=more) >= settings.worth:
+            found.append((float(drawn.weights @ stays) - float(drawn.weights @ goes), new, peaks))
     return max(found, key=lambda one: one[0], default=None)
 
 

@@ -25,9 +25,18 @@ from retuner.adaptive.decision_numbers import NO_NUMBERS, Basis
 from retuner.adaptive.diagnosis.cause import MOST, Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.explanations.book import MOST_ROOM, MS_OF_ROOM, ODD, Book, doubted, heard, update
-from retuner.adaptive.explanations.likely_processes import cost_on, expected_cost
+from retuner.adaptive.explanations.likely_processes import cost_on, costs
 from retuner.adaptive.explanations.process_grid import EVERY_LAG
-from retuner.adaptive.explanations.settings_by_book import BookSettings, ByBook, bears, by_book, gain, lets_go, shares
+from retuner.adaptive.explanations.settings_by_book import (
+    BookSettings,
+    ByBook,
+    bears,
+    by_book,
+    gain,
+    lets_go,
+    shares,
+    worth_of,
+)
 from retuner.adaptive.explanations.tone import tone_of
 from retuner.adaptive.explanations.wandering_load import TEMPER, Prepared, lead_of_steps, log_likelihoods
 from retuner.adaptive.guard import Proof, prove
@@ -398,20 +407,20 @@ def _proved_by_all_samples(found: Findings, own: Outcome, seen: AllSamples) -> O
     proof = prove(asked, settings.guard)
     if not proof.accepted or proof.gains is None:
         return None
+    sets = record.in_force, proof.gains
     if also:  # on the likeliest of them, how much less does it cost, ln?
         process = also[0].model.seen_by_controller(settings.sample_time_s).linear()
-        sets = record.in_force, proof.gains
         stays, goes = (
             cost_on(process, _ms(also[0], one, settings), one, book.dt_s, settings.book.cost) for one in sets
         )
         if stays - goes < settings.book.worth:
             return None
     drawn = book.drawn(settings.book.drawn)
-    if less and lets_go(drawn, record.in_force, proof.gains, settings.book):
+    if less and lets_go(drawn, *sets, settings.book):
         return None
     # Limits may leave a part of what was chosen that is worth nothing, or less: an action held, the other one cut
-    stays, goes = (expected_cost(drawn, one, settings.book.cost)[0] for one in (record.in_force, proof.gains))
-    worth = stays - goes if less else max(stays - goes, gain(drawn, record.in_force, proof.gains, settings.book)[0])
+    before, after = (costs(drawn, one, settings.book.cost)[0] for one in sets)
+    worth = worth_of(drawn, before, after, settings.book, more=not less)
     if worth < settings.book.worth * proof.step:
         return None
     cause, odds, what = _cause_of(told, book, record.in_force, proof.gains, settings.book)

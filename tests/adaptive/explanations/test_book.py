@@ -926,17 +926,15 @@ def _follows(
     return outcome is not None
 
 
-@pytest.mark.parametrize(("saves", "more"), [(0.3, True), (0.1, False)])
-def test_more_action_is_weighed_by_what_it_may_cost_on_trial(
-    monkeypatch: pytest.MonkeyPatch, saves: float, *, more: bool
-) -> None:
+def test_more_action_is_weighed_by_what_it_may_cost_on_trial() -> None:
     """A loop at J 14 stayed there: unstable processes, of 2 % of the odds, cost as much as the change saved."""
-    now = scaled(0.25)
-    book = replace(after(now, 3), leans=1, moved=1.0)
-    cost = settings_by_book.expected_cost
-    monkeypatch.setattr(settings_by_book, "expected_cost", lambda *a: (0.0, cost(*a)[1]))
-    monkeypatch.setattr(settings_by_book, "gain", lambda *_: (saves, 0.95))
-    assert (by_book(book, now, SETTINGS).tuning is not None) is more
+    ten: Any = SimpleNamespace(weights=np.full(10, 0.1))
+    stays, goes = np.zeros(10), np.array([-0.5] * 9 + [4.0])
+    worth = [settings_by_book.worth_of(ten, stays, goes, SETTINGS, more=more) for more in (True, False)]
+    assert worth == pytest.approx([0.45 - 0.1 * SETTINGS.most, 0.05])
+    assert worth[1] < SETTINGS.worth < worth[0]
+    saved = settings_by_book.worth_of(ten, stays, np.full(10, -2.0), SETTINGS, more=True)
+    assert saved == pytest.approx(2.0), "what it saves is not bounded"
 
 
 def test_what_limits_leave_of_a_change_must_be_worth_it() -> None:
