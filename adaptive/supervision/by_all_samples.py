@@ -218,8 +218,8 @@ def objection(found: Findings, own: Outcome, seen: AllSamples) -> Outcome | None
         return None
     half = look is not None and float(np.ptp(look.window.t_s)) >= LOOK * book.dt_s
     open_model = less and look and found.in_use and not found.in_use.identifiable
-    followed = book.told_by_setpoint and not (look and look.limited > MOST_LIMITED)
-    tells = away or book.records or half or followed or open_model
+    follows = not (look and look.limited > MOST_LIMITED)
+    tells = away or (follows and (book.records or half or book.told_by_setpoint or open_model))
     more = told.numbers.book_room >= settings.more_odds or (not seen.by_loads and bears(drawn, now, new, settings))
     seen_so = seen.silent or (told.numbers.book_high >= HALF if less else more)
     worth, better = gain(drawn, now, new, settings)
@@ -250,7 +250,7 @@ def _doubt(found: Findings, own: Outcome, proof: Proof, seen: AllSamples, *, les
     if learned and found.in_use and exempt_from_confirmation(found, proof, learned, found.in_use):
         return None
     cut = less and new is not None and abs(new.kp) <= abs(now.kp) and abs(new.ki) <= abs(now.ki)
-    if cut and learned is not None and not (found.clear or is_known(found, learned)):
+    if (cut or seen.by_loads) and learned is not None and not (found.clear or is_known(found, learned)):
         return Diagnosis(Cause.UNKNOWN, HALF, {}, NOT_SHOWN)
     if (doubt := doubt_of(found, own.diagnosis)) is not None:
         return doubt
