@@ -221,10 +221,14 @@ def _prior(possible: BoolArray, held: BoolArray) -> bytes:
     return _levels(logs + of_plane[:, None], kept)
 
 
-def update(book: Book, window: Window, *, hazard_s: float = math.inf, grows: bool = False) -> Book:
+def update(
+    book: Book, window: Window, *, hazard_s: float = math.inf, grows: bool = False, limited: bool = False
+) -> Book:
     """Take in a window of all samples since the last one. A window shorter than the interval of the book says nothing.
 
     hazard_s : mean time after which the process is another one. grows : the window will come again, with more samples.
+    limited : its output stands at a limit, so it says nothing: a swing between limits shows one frequency, again and
+    again, which a process that runs away explains as well as the loop's own.
     """
     n = max(round(book.dt_s / window.sample_time_s), 1)
     if len(window.t_s) < n:
@@ -232,7 +236,8 @@ def update(book: Book, window: Window, *, hazard_s: float = math.inf, grows: boo
     last_s, share, tone_s = float(window.t_s[-1]), 0.0, book.tone_s
     record, known = Prepared.at(window, book.dt_s), faded(book, last_s, hazard_s)
     record = replace(record, resolution=max(record.resolution, MODEL_ERROR * float(np.ptp(record.pv))))
-    levels, says = known.whole, len(record.pv) >= FEWEST_SAMPLES and np.ptp(record.pv) > 0 and np.ptp(record.co) > 0
+    levels, moves = known.whole, np.ptp(record.pv) > 0 and np.ptp(record.co) > 0
+    says = moves and len(record.pv) >= FEWEST_SAMPLES and not limited
     if says:
         logs, kept = _logs(levels)
         setpoint = block_means(window.sp, n)

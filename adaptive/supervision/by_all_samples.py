@@ -184,7 +184,8 @@ def all_samples(found: Findings, own: Outcome) -> AllSamples:
         book = (look.book or Book.begun(gains, interval_s(gains, dt_s), float(windows[0].t_s[0]))).under(gains)
         book = doubted(book, settings.changed_odds) if changed else book
         for window in windows:
-            book = update(book, window, hazard_s=settings.hazard_s, grows=look.grows and window is look.window)
+            grows, limited = look.grows and window is look.window, look.limited > MOST_LIMITED
+            book = update(book, window, hazard_s=settings.hazard_s, grows=grows, limited=limited)
     external = own.diagnosis is not None and own.diagnosis.cause is Cause.EXTERNAL  # else a swing of the loop's own
     if book is not None and (external or (found.foreign is not None and found.foreign < record.foreign)):
         book = heard(book, MOST[Cause.EXTERNAL], tone=external)
