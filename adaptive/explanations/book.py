@@ -77,9 +77,12 @@ BY_ALL, ANSWERS = 2, 3  # planes
 TOLD = 0.5  # share of the moves of the setpoint from which these tell the process
 PLANES, WEIGHED = (4 + len(ORDERS), *GRID), 2
 """Every process by a load that wanders, without a tone and with one: their odds are those of a tone. Then by loads and
-answers to the setpoint, without a tone; by answers whatever the load; and without a tone under each order of load.
+answers to the setpoint, without a tone; by answers whatever the load; and without a tone under each order of load:
+their odds are those of the orders.
 """
-WHOLE = (slice(WEIGHED), *(slice(i, i + 1) for i in range(WEIGHED, PLANES[0])))  # planes whose weights are one together
+OF_ORDERS = slice(ANSWERS + 1, PLANES[0])
+WHOLE = (slice(WEIGHED), slice(BY_ALL, ANSWERS), slice(ANSWERS, ANSWERS + 1), OF_ORDERS)
+"""Planes whose weights are one together."""
 BEYOND, MOST_ROOM, MS_OF_ROOM = 1.25, 12.0, 1.7
 """Loop gains so many times beyond the limit of stability are left out, and processes on which so many times all actions
 keep Ms under this. A loop at work comes from neither: one that does next to nothing has a co that undoes its load, too.
@@ -157,6 +160,11 @@ class Book:
         """Whether the moves of the setpoint have told the process, and not loads alone."""
         return self.moved >= TOLD
 
+    def orders(self, least: float) -> tuple[int, ...]:
+        """The orders of load, as in ORDERS, that are at least so likely."""
+        odds = _weights(self.levels)[OF_ORDERS].sum(axis=(1, 2, 3))
+        return tuple(order for order, one in zip(ORDERS, odds, strict=True) if one >= least)
+
     @lru_cache(maxsize=4)  # noqa: B019  a decision asks for the same ones several times
     def drawn(self, count: int, order: int | None = None) -> LikelyProcesses:
         """Processes that stand for the weights, each as likely as the others, by systematic resampling (Kitagawa 1996).
@@ -217,7 +225,7 @@ def _prior(possible: BoolArray, held: BoolArray) -> bytes:
     rare = math.log(RUNAWAYS / (1.0 - RUNAWAYS) * int(np.sum(possible)) / max(int(np.sum(held)), 1))
     kept = np.concatenate([possible, held])
     logs = np.where(np.nonzero(kept)[0] < len(possible), 0.0, rare)
-    of_plane = np.log([1.0 - TONE, TONE, *[1.0] * (PLANES[0] - WEIGHED)])
+    of_plane = np.log([1.0 - TONE, TONE, *[1.0] * (PLANES[0] - WEIGHED)])  # the orders are alike
     return _levels(logs + of_plane[:, None], kept)
 
 

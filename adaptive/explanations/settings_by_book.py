@@ -33,7 +33,6 @@ from retuner.adaptive.explanations.likely_processes import (
     quantile,
 )
 from retuner.adaptive.explanations.process_grid import DEAD_TIMES, EVERY_LAG, GAINS, shapes
-from retuner.adaptive.explanations.wandering_load import ORDERS
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.rules.rule import Tuning
@@ -152,7 +151,7 @@ def by_book(book: Book, gains: PidGains, settings: BookSettings) -> ByBook:
     shown = np.minimum(cells.peaks(gains), MS_SHOWN)
     middle, low, most = (quantile(shown, cells.weights, share) for share in (0.5, 0.05, 0.95))
     numbers = BookNumbers(high, room, middle, low, most, float(book.records), book.tone)
-    by_orders = [book.drawn(settings.drawn, order) for order in (() if told else ORDERS)]
+    by_orders = [book.drawn(settings.drawn, order) for order in (() if told else book.orders(settings.bad_share))]
     integral_times = [_integral_times(book, one) for one in (drawn, *by_orders)]
     kinds = [MORE_OF_ALL]
     if told:
