@@ -208,17 +208,10 @@ def worth_of(
 
 def lets_go(drawn: LikelyProcesses, now: PidGains, new: PidGains, settings: BookSettings) -> bool:
     """Whether new gains hold processes that run away by themselves worse than those in force, on more than the share of
-    the odds that may come out badly: Ms is larger, or gain is taken though HELD times as much would hold it. Its Ms is
-    over every limit, whatever the gains, and what holds it is gain: from a least one up (De Paor & O'Malley 1989).
+    the odds that may come out badly. What holds one is gain: from a least one up (De Paor & O'Malley 1989).
     """
     worse = drawn.peaks(new) > np.maximum(drawn.peaks(now), settings.ms_high)
-    if abs(new.kp) < abs(now.kp):
-        worse |= drawn.stable(_times(now, HELD, 1.0))
     return float(drawn.weights @ (drawn.runs_away & worse)) > settings.bad_share
-
-
-HELD = 1.5
-"""Gain margin from which such a process has not too much gain: with a smaller one Ms is over 3 whatever the process."""
 
 
 def bears(drawn: LikelyProcesses, now: PidGains, new: PidGains, settings: BookSettings) -> bool:
