@@ -160,10 +160,10 @@ class Book:
         """Whether the moves of the setpoint have told the process, and not loads alone."""
         return self.moved >= TOLD
 
-    def orders(self, least: float) -> tuple[int, ...]:
-        """The orders of load, as in ORDERS, that are at least so likely."""
+    def odds_of(self, order: int) -> float:
+        """Probability of an order of load, as in ORDERS."""
         odds = _weights(self.levels)[OF_ORDERS].sum(axis=(1, 2, 3))
-        return tuple(order for order, one in zip(ORDERS, odds, strict=True) if one >= least)
+        return float(odds[ORDERS.index(order)])
 
     @lru_cache(maxsize=4)  # noqa: B019  a decision asks for the same ones several times
     def drawn(self, count: int, order: int | None = None) -> LikelyProcesses:

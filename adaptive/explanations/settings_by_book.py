@@ -33,6 +33,7 @@ from retuner.adaptive.explanations.likely_processes import (
     quantile,
 )
 from retuner.adaptive.explanations.process_grid import DEAD_TIMES, EVERY_LAG, GAINS, shapes
+from retuner.adaptive.explanations.wandering_load import ORDERS
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.rules.rule import Tuning
@@ -151,8 +152,8 @@ def by_book(book: Book, gains: PidGains, settings: BookSettings) -> ByBook:
     shown = np.minimum(cells.peaks(gains), MS_SHOWN)
     middle, low, most = (quantile(shown, cells.weights, share) for share in (0.5, 0.05, 0.95))
     numbers = BookNumbers(high, room, middle, low, most, float(book.records), book.tone)
-    by_orders = [book.drawn(settings.drawn, order) for order in (() if told else book.orders(settings.bad_share))]
-    integral_times = [_integral_times(book, one) for one in (drawn, *by_orders)]
+    by_orders = {order: book.drawn(settings.drawn, order) for order in (() if told else ORDERS)}
+    integral_times = [_integral_times(book, one) for one in (drawn, *by_orders.values())]
     kinds = [MORE_OF_ALL]
     if told:
         kinds += [MORE_GAIN, MORE_INTEGRAL] if high >= settings.less_odds else [MORE_GAIN]
@@ -170,7 +171,8 @@ def by_book(book: Book, gains: PidGains, settings: BookSettings) -> ByBook:
     unproved = leans > 0 and float(drawn.weights @ drawn.runs_away) >= 1.0 - settings.bad_share
     if best is None or not leans or unproved or (leans != book.leans and not sure):
         return said
-    if leans < 0 and any(gain(one, gains, best[1], settings)[1] < HALF for one in by_orders):
+    plausible = [one for order, one in by_orders.items() if book.odds_of(order) >= settings.bad_share]
+    if leans < 0 and any(gain(one, gains, best[1], settings)[1] < HALF for one in plausible):
         return said
     worth, new, peaks = best
     asked = ~drawn.runs_away & ((ms <= settings.ms_bad) | (peaks < ms) | (leans < 0))

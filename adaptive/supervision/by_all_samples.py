@@ -204,9 +204,10 @@ def objection(found: Findings, own: Outcome, seen: AllSamples) -> Outcome | None
     no harm by models and book together, which weigh the same: loads may be steps, or one may wander. Its cause is room,
     or, where a setpoint step is among the samples, that they bear this change itself. Where a loop whose
     process was shown mostly rests, no load wanders, and the book must be sure. It must hold half a whole window, or
-    know the process by its setpoint, with the output between its limits, but not where less action comes from a model
-    that is not identifiable. A clear response whose fit is likelier than every process of the book is of one between
-    the points of its grid, or of what the process has become by now.
+    know the process by its setpoint, but not where less action comes from a model that is not identifiable. Where the
+    output stands at a limit it objects to nothing but less action on a process that runs away. A clear response whose
+    fit is likelier than every process of the book is of one between the points of its grid, or of what the process has
+    become by now.
     """
     settings, book, told, proof = found.settings.book, seen.book, seen.told, own.proof
     record, look, shown = found.record, seen.look, seen.shown
@@ -215,12 +216,12 @@ def objection(found: Findings, own: Outcome, seen: AllSamples) -> Outcome | None
     now, new, numbers, drawn = record.in_force, proof.gains, own.numbers, book.drawn(settings.drawn)
     less = abs(new.kp) < NEARLY * abs(now.kp) or abs(new.ki) < NEARLY * abs(now.ki)
     away = less and lets_go(drawn, now, new, settings)
-    if found.growth is not None and not away:
+    limited = look is not None and look.limited > MOST_LIMITED
+    if (found.growth is not None or limited) and not away:
         return None
     half = look is not None and float(np.ptp(look.window.t_s)) >= LOOK * book.dt_s
     open_model = less and look and found.in_use and not found.in_use.identifiable
-    follows = not (look and look.limited > MOST_LIMITED)
-    tells = away or (follows and (book.records or half or book.told_by_setpoint or open_model))
+    tells = away or book.records or half or book.told_by_setpoint or open_model
     more = told.numbers.book_room >= settings.more_odds or (not seen.by_loads and bears(drawn, now, new, settings))
     seen_so = seen.silent or (told.numbers.book_high >= HALF if less else more)
     worth, better = gain(drawn, now, new, settings)
@@ -242,8 +243,8 @@ def objection(found: Findings, own: Outcome, seen: AllSamples) -> Outcome | None
 
 def _doubt(found: Findings, own: Outcome, proof: Proof, seen: AllSamples, *, less: bool) -> Diagnosis | None:
     """Why a change does not stand whose cause the book does not see; None where it does: the whole diagnosis must name
-    the tuning, and no valve be likelier. That is not enough for a cut of both gains: the diagnosis knows no load that
-    wanders, and a process that swings by itself explains such a load to the noise.
+    the tuning, and no valve be likelier. That is not enough by loads alone, nor for a cut of both gains: the diagnosis
+    knows no load that wanders, and a process that swings by itself explains such a load to the noise.
     """
     record, learned, new, now = found.record, found.learned, proof.gains, found.record.in_force
     if record.crossed or found.joined:  # not of this region, or not of one response
