@@ -11,6 +11,7 @@ it, where it lets the process go. There is no rule for it here: it is asked whet
 """
 
 import math
+from functools import lru_cache
 from itertools import product
 
 import numpy as np
@@ -167,6 +168,7 @@ def _answer(process: UnstableProcess, law: SampledLaw, n: int) -> FloatArray:
     return np.array(pv)
 
 
+@lru_cache(maxsize=64)  # a slope by one number leaves the other pole, or both, where they were
 def _moved(pole: float, dt_s: float, early_s: float) -> tuple[float, float, float]:
     """A pole over an interval: what stays, and what an output adds in its early part, and in the rest."""
     late_s = dt_s - early_s

@@ -28,7 +28,7 @@ from retuner.adaptive.explanations.process_grid import (
     shapes,
     units,
 )
-from retuner.adaptive.explanations.wandering_load import Prepared, pole_of, reduced, responses
+from retuner.adaptive.explanations.wandering_load import Prepared, pole_of, reduced, responses, spans_of
 from retuner.adaptive.fit.engine import compiled
 from retuner.adaptive.signals.sample import FloatArray
 
@@ -44,9 +44,7 @@ def log_likelihood_of_answers(record: Prepared, direction: int, gain_unit: float
     processes that are asked for, shape (shapes, dead times, gains), which the answer has; others are -inf.
     """
     gains, rows = direction * GAINS * units(EVERY_LAG)[:, :, 0] / gain_unit, len(record.pv) - ORDER
-    first, last = np.argmax(asked, axis=2), len(GAINS) - np.argmax(asked[:, :, ::-1], axis=2)
-    spans, dead = np.stack([first, last], axis=2).astype(np.float64), np.array(DEAD_TIMES)
-    found = np.where(asked, 0.0, -math.inf)
+    spans, dead, found = spans_of(asked), np.array(DEAD_TIMES), np.where(asked, 0.0, -math.inf)
     for row, shape in enumerate(shapes(EVERY_LAG) if rows > 2 * ORDER else ()):  # a shorter window says nothing
         if (late := np.flatnonzero(asked[row].any(axis=1))).size:
             left = _left(record, shape, dead[late], gains[row], spans[row, late], rows * record.resolution**2)

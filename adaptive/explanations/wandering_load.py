@@ -216,21 +216,26 @@ class UnderLoads:
         half = self.freedom[:, None, None, None] / (2 * TEMPER)
         return np.asarray(-half * np.log((self.left[..., None] + more) / self.size))
 
-    def mixed(self, gains: FloatArray, groups: FloatArray | None = None, asked: BoolArray | bool = True) -> FloatArray:
+    def mixed(self, gains: FloatArray, groups: FloatArray | None = None, spans: FloatArray | None = None) -> FloatArray:
         """ln of the mean over loads of exp(ln L / TEMPER), shape (groups, inputs, dead times, gains).
 
         gains : shape (inputs, 1, gains). groups : 1 for the loads that are in each, shape (groups, loads); None: all.
-        asked : shape (inputs, dead times, gains); before the first that is asked for and after the last it is -inf.
+        spans : of spans_of, shape (inputs, dead times, 2), None for all gains; outside of them it is -inf.
         """
         groups = np.ones((1, len(self.freedom))) if groups is None else groups
-        asked = np.broadcast_to(asked, (*self.gain.shape[1:], gains.shape[2]))
-        spans = np.stack([np.argmax(asked, axis=2), gains.shape[2] - np.argmax(asked[:, :, ::-1], axis=2)], axis=2)
+        spans = np.tile((0.0, gains.shape[2]), (*self.gain.shape[1:], 1)) if spans is None else spans
         if (engine := compiled()) is not None:
             fits, half = (self.gain, self.information, self.left), self.freedom / (2 * TEMPER)
-            return np.asarray(engine.walks_mixed(fits, half, gains[:, 0], groups, spans.astype(np.float64), self.size))
+            return np.asarray(engine.walks_mixed(fits, half, gains[:, 0], groups, spans, self.size))
         each, at = (self.tempered(gains)[group > 0] for group in groups), np.arange(gains.shape[2])
         whole = [np.logaddexp.reduce(one, axis=0) - math.log(len(one)) for one in each]
         return np.where((at >= spans[..., :1]) & (at < spans[..., 1:]), whole, -math.inf)
+
+
+def spans_of(asked: BoolArray) -> FloatArray:
+    """The first gain that is asked for and the one after the last, shape (..., 2). asked : shape (..., gains)."""
+    ends = np.argmax(asked, axis=-1), asked.shape[-1] - np.argmax(asked[..., ::-1], axis=-1)
+    return np.stack(ends, axis=-1).astype(np.float64)
 
 
 @lru_cache(maxsize=1024)
@@ -469,14 +474,14 @@ def log_likelihoods(
     """
     gains, late = direction * GAINS * units(lags) / gain_unit, np.array(DEAD_TIMES)
     asked = np.broadcast_to(asked, (len(gains), len(late), len(GAINS)))
-    whole = np.full((len(ends) + len(ORDERS), *asked.shape), -math.inf)
+    whole, spans = np.full((len(ends) + len(ORDERS), *asked.shape), -math.inf), spans_of(asked)
     each = ((lag, second) for lag in lags for second in range(len(second_lags(lag))))
     for at, (lag, second) in enumerate(each):
-        loads, dead = LOADS_OF_BOOK if lag > 0 else BEHIND_LAGS, asked[at].any(axis=1)
-        if dead.any():
+        loads, dead = LOADS_OF_BOOK if lag > 0 else BEHIND_LAGS, np.flatnonzero(asked[at].any(axis=1))
+        if dead.size:
             deads, groups = late[dead].tolist(), _groups(loads, len(ends))
             fits = under_loads(record, record.co[None], lag, loads, deads, through=second, tones=tones, ends=ends)
-            whole[:, at, dead] = fits.mixed(gains[at : at + 1], groups, asked[at : at + 1, dead])[:, 0]
+            whole[:, at, dead] = fits.mixed(gains[at : at + 1], groups, spans[at : at + 1, dead])[:, 0]
     return whole[: len(ends)], whole[len(ends) :]
 
 

@@ -217,7 +217,7 @@ def walks_mixed(
     """UnderLoads.mixed. fits : gain, information and left. half : exponents of the loads. gains : (inputs, gains)."""
     _, rows, deads = fits[0].shape
     out = np.empty((len(groups), rows, deads, gains.shape[1]))
-    _engine.mix(*fits, half, np.ascontiguousarray(gains), groups, spans, size, rows, out)
+    _engine.mix(*fits, half, np.ascontiguousarray(gains), groups, np.ascontiguousarray(spans), size, rows, out)
     return out
 
 

@@ -1,6 +1,7 @@
 """A record made ready for fitting: its own clock from zero, its noise, its scale, and where its time has gaps."""
 
 import math
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -224,37 +225,40 @@ class Record:
     @classmethod
     def of(cls, window: Window, most_samples: int | None = None) -> "Record":
         """Prepare a window, condensed to most_samples."""
-        hidden, rests, logged_s = hidden_sigma(window.pv), rest_ratios(window), window.sample_time_s
-        window = window if most_samples is None else window.condensed(most_samples)
-        t = window.t_s - window.t_s[0]  # seconds since 1970 leave too few digits for derivatives by the dead time
-        pv_range = float(np.ptp(window.pv))
-        resolution = max(quantum_sigma(window.pv), hidden, LEAST_NOISE * pv_range)
-        noise = max(noise_sigma(window.pv), resolution, window.noise_std)
-        dt = window.sample_time_s
-        # Where the longest gaps end, in order
-        lengths = np.diff(t)
-        longest = np.argsort(-lengths, kind="stable")[:MOST_GAPS]
-        # Travel of pv in the first samples beyond its noise, as a share of its range, and somewhat more
-        m = min(max(START_SAMPLES, len(window.pv) // START_SHARE), len(window.pv))
-        travel = abs(median(window.pv[m - 3 : m]) - median(window.pv[:3])) - 2 * noise
-        share = travel / (float(np.ptp(window.pv)) or 1.0)
-        return cls(
-            np.ascontiguousarray(window.pv),
-            window.co - window.co[0],
-            SamplingInstants.of(t),
-            dt,
-            float(t[-1]),
-            noise,
-            resolution,
-            pv_range,
-            float(np.ptp(window.co)),
-            tuple(float(t[i + 1]) for i in sorted(longest.tolist()) if lengths[i] > GAP * dt),
-            (min(MOTION_REACH * share, 1.0) if share > LEAST_MOTION else 0.0),
-            rests=rests,
-            logged_s=logged_s,
-        )
+        return _prepared(window.content, most_samples)
 
     @property
     def t_s(self) -> FloatArray:
         """Sampling instants from zero, shape (n,)."""
         return self.clock.t_s
+
+
+@lru_cache(maxsize=16)  # a record is made ready for each question that is asked of it
+def _prepared(content: tuple[tuple[bytes, ...], float], most_samples: int | None) -> Record:
+    window = Window.holding(content)
+    hidden, rests, logged_s = hidden_sigma(window.pv), rest_ratios(window), window.sample_time_s
+    window = window if most_samples is None else window.condensed(most_samples)
+    t = window.t_s - window.t_s[0]  # seconds since 1970 leave too few digits for derivatives by the dead time
+    pv_range = float(np.ptp(window.pv))
+    resolution = max(quantum_sigma(window.pv), hidden, LEAST_NOISE * pv_range)
+    noise = max(noise_sigma(window.pv), resolution, window.noise_std)
+    lengths = np.diff(t)
+    longest = np.argsort(-lengths, kind="stable")[:MOST_GAPS].tolist()
+    # Travel of pv in the first samples beyond its noise, as a share of its range, and somewhat more
+    m = min(max(START_SAMPLES, len(window.pv) // START_SHARE), len(window.pv))
+    share = (abs(median(window.pv[m - 3 : m]) - median(window.pv[:3])) - 2 * noise) / (pv_range or 1.0)
+    return Record(
+        np.ascontiguousarray(window.pv),
+        window.co - window.co[0],
+        SamplingInstants.of(t),
+        dt := window.sample_time_s,
+        float(t[-1]),
+        noise,
+        resolution,
+        pv_range,
+        float(np.ptp(window.co)),
+        tuple(float(t[i + 1]) for i in sorted(longest) if lengths[i] > GAP * dt),
+        min(MOTION_REACH * share, 1.0) if share > LEAST_MOTION else 0.0,
+        rests=rests,
+        logged_s=logged_s,
+    )

@@ -7,6 +7,7 @@ steps are added one by one where they take away most of the misfit. The best nod
 
 import math
 from collections.abc import Iterator, Sequence
+from functools import lru_cache
 from itertools import chain, product
 from typing import NamedTuple
 
@@ -97,13 +98,16 @@ class SearchGrid:
                 yield replace(self, lags_s=np.array([lag]), thetas_s=np.array(thetas), at_s=free)
 
 
+@lru_cache(maxsize=16)  # each move of each fit of a record asks
 def instants(span_s: float, count: int) -> FloatArray:
     """Where a load step is looked for: evenly along the record, and closer where it begins.
 
     A record is often cut where something happens, and a step that came before the first even one is no start either.
     """
     even = np.linspace(0.0, span_s, count + 2)[1:-1]
-    return np.concatenate([even[0] * np.array(SOON), even])
+    found = np.concatenate([even[0] * np.array(SOON), even])
+    found.flags.writeable = False
+    return found
 
 
 class Node(NamedTuple):

@@ -17,6 +17,7 @@ the process.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import NamedTuple
 
 from retuner.adaptive.guard.request import DiagonalNeighbour, NeighbourBorder
@@ -163,6 +164,7 @@ def mixed(gains: PidGains, border: NeighbourBorder, share: float) -> PidGains:
     return PidGains(*(sum(w * getattr(one, name) for one, w in shares) for name in GAIN_NAMES))
 
 
+@lru_cache(maxsize=1024)  # each set that is tried is asked on the same ways
 def between_models(one: ProcessModel, other: ProcessModel, share: float) -> ProcessModel | None:
     """The process between two: see the head of this file; None where a structure is not one that a fit can have."""
     kinds = {ProcessType.FOPDT, ProcessType.SOPDT, ProcessType.INTEGRATING, ProcessType.INTEGRATING_LAG}

@@ -139,14 +139,12 @@ def with_priors(
     inflation : factor by which a fit's residuals count for less than their number (correlated, or unexplained): what a
         structure does not explain must not outvote what is known.
     """
-    return sorted(
-        (
-            with_prior(c, priors[c.fit.misfit.type], 1.0 if inflation is None else inflation(c.fit), least_loads)
-            for c in found
-            if c.fit.misfit.type in priors
-        ),
-        key=lambda c: c.criterion,
-    )
+    again = {
+        c: with_prior(c, priors[c.fit.misfit.type], 1.0 if inflation is None else inflation(c.fit), least_loads)
+        for c in dict.fromkeys(found)  # one may have been found on two ways
+        if c.fit.misfit.type in priors
+    }
+    return sorted((again[c] for c in found if c in again), key=lambda c: c.criterion)
 
 
 def with_prior(alone: Candidate, prior: Prior, inflation: float = 1.0, least_loads: int = 0) -> Candidate:

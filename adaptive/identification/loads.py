@@ -46,12 +46,10 @@ Move = Callable[[Candidate], Proposal | None]
 
 def improved(seed: Candidate, most_loads: int, seen: CandidateList, most: int = MOST_MOVES) -> Candidate:
     """The best that can be reached by single moves; everything tried is noted in `seen`."""
-    best, tried, fruitless = seed, 0, 0
+    best, tried, fruitless, whole = seed, 0, 0, _moves(seed, most_loads)
     moves: list[Move] = []
-    while tried < most:
-        moves = moves or _moves(best, most_loads)
-        if fruitless >= len(_moves(best, most_loads)):
-            break
+    while tried < most and fruitless < len(whole):
+        moves = moves or list(whole)
         proposal = moves.pop(0)(best)
         fruitless += 1
         if proposal is None or not proposal[0].has_room:
@@ -60,7 +58,7 @@ def improved(seed: Candidate, most_loads: int, seen: CandidateList, most: int = 
         found = judged(refine(*proposal, evaluations=MOVE_EVALUATIONS))
         seen.add(found)
         if found.criterion < best.criterion - LEAST_GAIN:
-            best, fruitless = found, 0
+            best, fruitless, whole = found, 0, _moves(found, most_loads)
     return best
 
 

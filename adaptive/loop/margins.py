@@ -290,6 +290,7 @@ UNSTABLE = Margins(
 )
 
 
+@lru_cache(maxsize=256)
 def margins(process: LinearProcess, gains: PidGains, tau_f_s: float = 0.0) -> Margins:
     """All margins of a process under these gains.
 

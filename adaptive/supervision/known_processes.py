@@ -23,7 +23,7 @@ from retuner.adaptive.region_model.update import SECONDS_PER_DAY, Agreement, Lea
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.trial.rollback import NOTHING_KNOWN, StillAllowed
-from retuner.schedule.late_dataclass import dataclass, replace
+from retuner.schedule.late_dataclass import dataclass, field, replace
 from retuner.schedule.table import GainTable, Lookup
 
 HALF = 0.5  # weight of a neighbour half way to it
@@ -33,13 +33,14 @@ HALF = 0.5  # weight of a neighbour half way to it
 class KnownProcesses:
     """What is known of the processes where the regions' own sets run, worked out once a question.
 
-    table : in force. region_models : by region, from records. t_s : now, s.
+    table : in force. region_models : by region, from records. t_s : now, s. met : see likeliest.
     """
 
     table: GainTable
     region_models: Mapping[int, RegionModel]
     t_s: float
     settings: RetunerSettings
+    met: dict[int, LogModel] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @cached_property
     def where_gains_run(self) -> Mapping[int, RegionModel]:
@@ -66,7 +67,8 @@ class KnownProcesses:
         found = {}
         for region, model in self.where_gains_run.items():
             only_lent = self.table.lookup is Lookup.HARD and region not in self.region_models
-            found[region] = still_allowed(model, self.t_s, self.settings)[: 1 if only_lent else None]
+            among = still_allowed(model, self.t_s, self.settings, self.likeliest(region))
+            found[region] = among[: 1 if only_lent else None]
         return found
 
     def borders(self, region: int) -> tuple[NeighbourBorder, ...]:
@@ -75,7 +77,9 @@ class KnownProcesses:
 
     def likeliest(self, region: int) -> LogModel:
         """The likeliest process of a region where its gains run, as it may be met now."""
-        return predicted(self.where_gains_run[region], self.t_s, self.settings.tracker)
+        if region not in self.met:
+            self.met[region] = predicted(self.where_gains_run[region], self.t_s, self.settings.tracker)
+        return self.met[region]
 
 
 def known_of(known: KnownProcesses, region: int, book: Book | None = None) -> StillAllowed:
@@ -132,10 +136,13 @@ def allowed_models(
     return () if known is None else still_allowed(known, t_s, settings)
 
 
-def still_allowed(region_model: RegionModel, t_s: float, settings: RetunerSettings) -> tuple[Plausible, ...]:
-    """The models of a region that its records still allow now."""
+def still_allowed(
+    region_model: RegionModel, t_s: float, settings: RetunerSettings, met: LogModel | None = None
+) -> tuple[Plausible, ...]:
+    """The models of a region that its records still allow now. met : the likeliest, None to work it out."""
     walk = settings.tracker.walk_per_day**2 * max(t_s - region_model.t_s, 0.0) / SECONDS_PER_DAY
-    return allowed(predicted(region_model, t_s, settings.tracker), region_model.plausible, walk, settings.guard)
+    met = predicted(region_model, t_s, settings.tracker) if met is None else met
+    return allowed(met, region_model.plausible, walk, settings.guard)
 
 
 def change_request(

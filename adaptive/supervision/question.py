@@ -44,7 +44,7 @@ class ResponseRecord:
     excitation : what the region's model rests on.
     at : the scheduling values at its end. entered_s : since when the loop was in the region at its end.
     passed_over : responses to a led setpoint since that was last said. book : what all samples have shown of the
-    region, None before they were looked at.
+    region, None before they were looked at. known : see known_with.
     """
 
     region: int
@@ -60,6 +60,7 @@ class ResponseRecord:
     entered_s: float = -math.inf
     passed_over: int = 0
     book: Book | None = None
+    known: list[KnownProcesses] = field(default_factory=list, init=False, repr=False, compare=False)
 
     @property
     def own(self) -> Sequence[LoopSample]:
@@ -117,9 +118,13 @@ class ResponseRecord:
         return admit(self.window, self.samples, self.response, rules, inside, settings.pv_range, ki)
 
     def known_with(self, model: RegionModel, settings: RetunerSettings) -> KnownProcesses:
-        """What is known at the response, its region's model as it is with it."""
-        models = {**self.region_models, self.region: model}
-        return KnownProcesses(self.table, models, float(self.window.t_s[-1]), settings)
+        """What is known at the response, its region's model as it is with it: cause, proof and worth ask the same."""
+        known = next((one for one in self.known if one.region_models[self.region] is model), None)
+        if known is None:
+            models = {**self.region_models, self.region: model}
+            known = KnownProcesses(self.table, models, float(self.window.t_s[-1]), settings)
+            self.known.append(known)
+        return known
 
 
 class Look(NamedTuple):
