@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from retuner.adaptive.interaction.answers import Moved, StepAnswers, answers
+from retuner.adaptive.interaction.multivariable_fit import Moved, StepAnswers, answers
 from retuner.adaptive.signals.sample import FloatArray
 
 LEAD = 10  # points before a move whose mean is where all stood

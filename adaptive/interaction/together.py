@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from retuner.adaptive.interaction.answers import ComplexArray, StepAnswers
+from retuner.adaptive.interaction.multivariable_fit import ComplexArray, StepAnswers
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass

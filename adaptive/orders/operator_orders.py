@@ -27,10 +27,10 @@ from retuner.adaptive.supervision.findings import NOT_KNOWN, tuning_of
 from retuner.adaptive.supervision.judge_evidence import prediction_of
 from retuner.adaptive.supervision.known_processes import KnownProcesses, change_request, known_of
 from retuner.adaptive.supervision.retuner import Retuner
-from retuner.adaptive.trial.persons_edit import right_words, turned_words
 from retuner.adaptive.trial.phase import TO_BE_SEEN, UNDECIDED, TrialEvent, TrialPhase
 from retuner.adaptive.trial.prediction import Prediction
 from retuner.adaptive.trial.rollback import SetsThatRan, unstable_again
+from retuner.adaptive.trial.words_on_persons_edit import right_words, turned_words
 from retuner.schedule.gains import PidGains
 
 WHOLE = 1.001

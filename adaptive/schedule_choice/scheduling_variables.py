@@ -7,6 +7,7 @@ import numpy as np
 
 from retuner.adaptive.controller_settings.read_off import settings_in_force
 from retuner.adaptive.schedule_choice.borders_of_one_variable import mean_of
+from retuner.adaptive.schedule_design.curve_shapes import SIMPLER
 from retuner.adaptive.schedule_design.curves import Curves, Progress, curves
 from retuner.adaptive.schedule_design.motion import recursion
 from retuner.adaptive.schedule_design.places import Place
@@ -20,7 +21,6 @@ from retuner.adaptive.schedule_design.record_stretches import (
     signals_of,
     without_gaps,
 )
-from retuner.adaptive.schedule_design.weighing import SIMPLER
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window, median, quantile
 from retuner.schedule.gains import PidGains

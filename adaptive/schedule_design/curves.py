@@ -2,8 +2,8 @@
 
     constant process -> load steps -> a second lag -> every parameter free to bend -> the installed characteristic of co
 
-Each of these is fitted as rich as it may become; agreement.py says what the stretches tell together, weighing.py which
-shapes follow. With or without a second lag, with or without a characteristic: that the evidence decides, under one
+Each of these is fitted as rich as it may become; agreement.py says what the stretches tell together, curve_shapes.py
+which shapes follow. With or without a second lag, with or without a characteristic: the evidence decides, under one
 noise, in Laplace's approximation (MacKay 1992, section 2). c counts what is left above white noise and what is
 correlated in it, so that a model which does not explain a record does not become sure of a bend.
 """
@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from retuner.adaptive.schedule_design.agreement import agreement
+from retuner.adaptive.schedule_design.curve_shapes import SHAPES, SIMPLER, weighed
 from retuner.adaptive.schedule_design.joint import (
     At,
     CurveForm,
@@ -34,7 +35,6 @@ from retuner.adaptive.schedule_design.record_stretches import (
     over,
 )
 from retuner.adaptive.schedule_design.rest_curve import RestCurve
-from retuner.adaptive.schedule_design.weighing import SHAPES, SIMPLER, weighed
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.late_dataclass import dataclass, replace
 

@@ -22,11 +22,11 @@ from retuner.adaptive.region_model.update import ANEW, Agreement, Learned
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.trial.judge import Judgement
-from retuner.adaptive.trial.persons_edit import lasting_words
 from retuner.adaptive.trial.phase import ROLLBACK_CAUSES, TrialPhase
 from retuner.adaptive.trial.posterior_check import PosteriorCheck
 from retuner.adaptive.trial.prediction import Prediction
 from retuner.adaptive.trial.trial import Trial
+from retuner.adaptive.trial.words_on_persons_edit import lasting_words
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, field, replace
 from retuner.schedule.plain_values import plain_values

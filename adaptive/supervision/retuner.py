@@ -65,11 +65,11 @@ from retuner.adaptive.supervision.question import (
 from retuner.adaptive.supervision.response_finder import Completed, Left, ResponseFinder
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.trial.judge import Judgement, TrialFinding
-from retuner.adaptive.trial.persons_edit import NOT_TAKEN, edit_words, require_action
 from retuner.adaptive.trial.phase import TO_BE_SEEN, UNDECIDED, TrialEvent, TrialPhase
 from retuner.adaptive.trial.prediction import Prediction
 from retuner.adaptive.trial.rollback import NOTHING_KNOWN, StillAllowed
 from retuner.adaptive.trial.supervisor import TrialSupervisor
+from retuner.adaptive.trial.words_on_persons_edit import NOT_TAKEN, edit_words, require_action
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable, Lookup
 

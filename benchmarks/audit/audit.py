@@ -22,7 +22,7 @@ from plant import FAULTS, Loop, plant
 from retuner.adaptive.audit.loop_screen import screen_loop
 from retuner.audit.catalogue import catalogue, files_of
 from retuner.audit.loop_row import AuditSettings, Row
-from retuner.audit.results import ranked
+from retuner.audit.ranked_loops import ranked
 from retuner.audit.working import on_this_machine
 from retuner.drivers.historian.loop_record import read_loop_record
 from retuner.drivers.historian.record_form import RecordForm

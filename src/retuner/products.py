@@ -12,7 +12,7 @@ HOMES = {
     "plants": "config.bench_plants",
     "another schedule": "adaptive.region_model.proposed_borders",
     "pretune": "session.pretuning",
-    "one plant": "one_plant.joining",
+    "one plant": "one_plant.loops_of_one_plant",
     "page": "serve.page_beside_run",
     "live view": "live_view.watching_session",
     "what a run leaves": "commands.left_by_run",

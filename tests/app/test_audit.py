@@ -15,8 +15,8 @@ from plain_recording import read_recording
 
 from retuner.audit.catalogue import Task, catalogue, files_of
 from retuner.audit.loop_row import SCHEMA, AuditSettings, Row, audit_task, drawn, is_fault
+from retuner.audit.ranked_loops import change, ranked, summary, write_results
 from retuner.audit.result_store import ResultStore, rows_of
-from retuner.audit.results import change, ranked, summary, write_results
 from retuner.audit.working import expected, on_a_cluster, on_this_machine
 from retuner.drivers.historian.record_form import RecordForm
 from retuner.drivers.recorded.recording import RecordingError

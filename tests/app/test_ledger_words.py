@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from command_line import printed
 
-from retuner.adaptive.trial.persons_edit import lasting_words
+from retuner.adaptive.trial.words_on_persons_edit import lasting_words
 from retuner.decision_page.decision_words import one_line, response_text
 from retuner.decision_page.row_values import brief
 from retuner.ledger import Ledger, Row

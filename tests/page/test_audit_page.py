@@ -12,7 +12,7 @@ from selenium.webdriver.common.by import By
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.audit.catalogue import Task
 from retuner.audit.loop_row import AuditSettings, audit_task
-from retuner.audit.results import write_results
+from retuner.audit.ranked_loops import write_results
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.schedule import pid
 from retuner.schedule.gains import PidGains

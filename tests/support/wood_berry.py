@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from retuner.adaptive.interaction.answers import Element, StepAnswers
 from retuner.adaptive.interaction.common_windows import OneLoopRecord
+from retuner.adaptive.interaction.multivariable_fit import Element, StepAnswers
 from retuner.schedule.gains import PidGains
 
 MINUTE = 60.0

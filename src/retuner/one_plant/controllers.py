@@ -1,7 +1,7 @@
 """Controllers of a program whose loops are on one plant."""
 
 from retuner.decisions.decider import DecideHere
-from retuner.one_plant.deciding import DecideAmong, OnePlant
+from retuner.one_plant.change_among_loops import DecideAmong, OnePlant
 from retuner.pid_controller import PidController
 
 

@@ -18,7 +18,7 @@ from retuner.config import Config
 from retuner.config.foreign import UNPROVED_ORDER
 from retuner.config.loading import signal_source
 from retuner.config.section import held_by
-from retuner.decisions.order_of_writes import OrderOfWrites
+from retuner.decisions.recorded_write_order import OrderOfWrites
 from retuner.drivers.bus.bus import LinkSettings
 from retuner.drivers.bus.link_settings import FramePort
 from retuner.drivers.controller.device_process import BusDevice

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from wood_berry import BLT, DT_S, MINUTE, WOOD_BERRY, column, records
 
-from retuner.adaptive.interaction.answers import Element, Moved, StepAnswers, answers
 from retuner.adaptive.interaction.common_windows import seen_in
+from retuner.adaptive.interaction.multivariable_fit import Element, Moved, StepAnswers, answers
 from retuner.adaptive.interaction.together import Closed, together
 from retuner.adaptive.loop.margins import margins
 from retuner.adaptive.process.model import LinearProcess

@@ -20,9 +20,8 @@ from retuner.adaptive.supervision.judge_evidence import seen_of
 from retuner.adaptive.supervision.question import OTHER_LOOP, Question
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.decisions.decider import Answer
-from retuner.one_plant import deciding
-from retuner.one_plant.controllers import on_one_plant
-from retuner.one_plant.deciding import (
+from retuner.one_plant import change_among_loops
+from retuner.one_plant.change_among_loops import (
     NO_VERDICT,
     NOT_SURVIVED,
     Among,
@@ -32,6 +31,7 @@ from retuner.one_plant.deciding import (
     on_one_clock,
     without_change,
 )
+from retuner.one_plant.controllers import on_one_plant
 
 
 @dataclass
@@ -60,8 +60,8 @@ def times(factor: float) -> Outcome:
 
 def test_half_of_a_change_that_the_other_loop_does_not_survive_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
     whole, half, asked = times(4.0), times(1.3), []
-    monkeypatch.setattr(deciding, "half_way", lambda question, refused: asked.append(refused) or question)
-    monkeypatch.setattr(deciding, "decide", lambda _: half)
+    monkeypatch.setattr(change_among_loops, "half_way", lambda question, refused: asked.append(refused) or question)
+    monkeypatch.setattr(change_among_loops, "decide", lambda _: half)
     found = among().answered(question(0, 1), whole)
     assert asked == [whole.proof.gains]
     assert found.proof is half.proof
@@ -82,8 +82,8 @@ def test_half_the_way_holds_every_limit_of_one_change_to_the_root_of_the_factor(
 
 
 def test_a_change_that_the_other_loop_does_not_survive_is_not_made_and_what_was_learned_stays(monkeypatch):
-    monkeypatch.setattr(deciding, "half_way", lambda question, _: question)
-    monkeypatch.setattr(deciding, "decide", lambda _: times(3.0))
+    monkeypatch.setattr(change_among_loops, "half_way", lambda question, _: question)
+    monkeypatch.setattr(change_among_loops, "decide", lambda _: times(3.0))
     found = among().answered(question(0, 1), times(4.0))
     assert found.proof is None
     assert found.code == NOT_SURVIVED
@@ -101,8 +101,8 @@ def test_a_change_that_all_survive_is_made() -> None:
 )
 def test_the_loop_itself_holds_the_limit_of_an_identified_process(monkeypatch, most, factor, *, made):
     """Its Ms is 1.48 now; where it is over the limit it does not grow, however little."""
-    monkeypatch.setattr(deciding, "half_way", lambda question, _: question)
-    monkeypatch.setattr(deciding, "decide", lambda _: times(factor))
+    monkeypatch.setattr(change_among_loops, "half_way", lambda question, _: question)
+    monkeypatch.setattr(change_among_loops, "decide", lambda _: times(factor))
     found = among(most=most).answered(question(0, 1), times(factor))
     assert (found.proof is not None) == made
 
@@ -120,8 +120,8 @@ def test_what_is_not_known_of_the_plant_counts_nothing() -> None:
 @pytest.mark.parametrize(("factor", "made"), [(1.2, False), (0.8, True)])
 def test_no_more_action_without_a_model_on_a_plant_that_is_not_known(monkeypatch, factor, *, made):
     blind = replace(times(factor), basis=Basis.PATTERN)
-    monkeypatch.setattr(deciding, "half_way", lambda question, _: question)
-    monkeypatch.setattr(deciding, "decide", lambda _: blind)
+    monkeypatch.setattr(change_among_loops, "half_way", lambda question, _: question)
+    monkeypatch.setattr(change_among_loops, "decide", lambda _: blind)
     found = among((0, 0)).answered(question(0, 1), blind)
     assert (found.proof is not None) == made
     assert made or "before bottom on the same plant is known" in found.reason

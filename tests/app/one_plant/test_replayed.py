@@ -8,7 +8,7 @@ from command_line import printed
 from retuner.adaptive.guard.step_size import change_factor
 from retuner.cli import main
 from retuner.ledger import LedgerReader
-from retuner.one_plant.deciding import Among
+from retuner.one_plant.change_among_loops import Among
 from retuner.schedule.gains import PidGains
 
 REFUSED = "refused: with two on the same plant: Ms of two 3.00, now 1.50; limit 1.75"

@@ -8,8 +8,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from retuner.audit.catalogue import Catalogue, Task, catalogue, files_of
 from retuner.audit.loop_row import AuditSettings, Row, is_fault
+from retuner.audit.ranked_loops import mean_error, summary, write_joined, write_results
 from retuner.audit.result_store import ResultStore, rows_of
-from retuner.audit.results import mean_error, summary, write_joined, write_results
 from retuner.audit.working import Pass, diagnosing, expected, on_a_cluster, on_this_machine, processes, screening
 from retuner.commands.options import controller_units
 from retuner.commands.recorded.record_options import record_form

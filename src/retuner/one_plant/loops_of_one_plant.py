@@ -9,7 +9,7 @@ from retuner.adaptive.supervision.question import OTHER_LOOP, Question
 from retuner.config import Config
 from retuner.config.plants import ModelSection
 from retuner.decisions.decider import Answer, without_decision
-from retuner.one_plant.deciding import (
+from retuner.one_plant.change_among_loops import (
     IN_PART,
     NO_VERDICT,
     NOT_SURVIVED,
