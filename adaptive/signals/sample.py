@@ -155,6 +155,17 @@ class Window:
         return _usual_interval(self.t_s)
 
 
+def in_units(window: Window) -> Window:
+    """A whole record as it comes from outside.
+
+    Raises ValueError: pv or co moves, but by numbers whose squares are none in double precision.
+    """
+    for name, values in (("pv", window.pv), ("co", window.co)):
+        if (most := float(np.max(np.abs(values)))) < 1.0 / LARGEST and np.ptp(values) > 0:
+            raise ValueError(f"{name} is nowhere beyond {most:g}; give the record in its engineering units")
+    return window
+
+
 def median(values: npt.ArrayLike) -> float:
     """The median of finite numbers; nan of none. np.median takes five times as long, and loads numpy.ma."""
     kept = np.array(values, dtype=np.float64).ravel()

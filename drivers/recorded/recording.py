@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.adaptive.signals.sample import FloatArray, Window, in_units
 from retuner.schedule.late_dataclass import dataclass, field
 
 ROLES = ("t", "sp", "pv", "co")
@@ -69,7 +69,7 @@ class Recording:
         if sp is None:
             sp = np.full(len(self.pv), self.pv[0] if len(self.pv) else 0.0)
         try:
-            object.__setattr__(self, "_window", Window(self.t_s, sp, self.pv, self.co))
+            object.__setattr__(self, "_window", in_units(Window(self.t_s, sp, self.pv, self.co)))
         except ValueError as error:
             raise RecordingError(f"{self.source}: {error}") from error
 

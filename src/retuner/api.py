@@ -24,7 +24,7 @@ from retuner.adaptive.identification.robust_simc import RobustSettings, RobustTu
 from retuner.adaptive.indexes.days import days_of
 from retuner.adaptive.loop.margins import Margins, margins
 from retuner.adaptive.process.model import ProcessModel
-from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.adaptive.signals.sample import FloatArray, Window, in_units
 from retuner.adaptive.valve.stand_still import StandStillSettings, stand_still
 from retuner.drivers.historian.data_frames import is_frame
 from retuner.drivers.historian.loop_record import LoopRecord, read_loop_record
@@ -203,7 +203,7 @@ def window_of(
 ) -> Window:
     """A record for a fit, out of arrays or as it was read.
 
-    Raises ValueError: a signal is missing, shapes differ, a value is not finite, or time does not increase.
+    Raises ValueError: a signal is missing, shapes differ, a value is not finite or has no square, time does not rise.
     """
     if isinstance(t, LoopRecord | str | PathLike) or is_frame(t):
         if not (sp is None and pv is None and co is None):
@@ -212,7 +212,7 @@ def window_of(
     if sp is None or pv is None or co is None:
         raise ValueError("give t, sp, pv and co, or a record of retuner.read")
     setpoint, value, output = (_reals(name, v) for name, v in (("sp", sp), ("pv", pv), ("co", co)))
-    return Window(seconds(cast("Times", t)), setpoint, value, output)
+    return in_units(Window(seconds(cast("Times", t)), setpoint, value, output))
 
 
 def _reals(name: str, values: Numbers) -> FloatArray:

@@ -138,7 +138,7 @@ def diagnose(
     Raises
     ------
     ValueError
-        Shapes differ, a value is not finite, or time does not increase; a record cannot be read.
+        Shapes differ, a value is not finite, or time does not increase; a record cannot be read, or there is none.
 
     Examples
     --------
@@ -151,6 +151,8 @@ def diagnose(
     <Cause.UNKNOWN: 'unknown'>
     """
     if isinstance(t, list | tuple) and sp is None:
+        if not t:
+            raise ValueError("there is no record in the list")
         windows = [window_of(cast("Record", one), None, None, None) for one in t]
     else:
         windows = [window_of(cast("Times | Record", t), sp, pv, co)]

@@ -155,6 +155,24 @@ def test_a_number_whose_square_is_none_is_refused_by_name(ask: Any, big: float) 
         ask(t, np.zeros(60), pv, np.cos(t))
 
 
+@pytest.mark.parametrize("ask", [retuner.identify, retuner.diagnose])
+@pytest.mark.parametrize("which", [1, 2])
+def test_a_signal_whose_squares_vanish_is_refused_by_name(ask: Any, which: int) -> None:
+    """It gave a ZeroDivisionError."""
+    t = np.arange(60.0)
+    signals = [np.zeros(60), np.sin(t), np.cos(t)]
+    signals[which] *= 1e-165
+    with pytest.raises(ValueError, match=r"is nowhere beyond .*e-16.; give the record in its engineering units"):
+        ask(t, *signals)
+
+
+@pytest.mark.parametrize("none", [[], ()])
+def test_no_record_is_refused_in_words(none: Any) -> None:
+    """It gave an IndexError."""
+    with pytest.raises(ValueError, match="no record"):
+        retuner.diagnose(none)
+
+
 def swung(size: float, sp: float = 50.0, n: int = 600) -> Arrays:
     """A tank of gain 1 and 100 s, every 10 s, under Kc 1, tau_I 100 s, and a tone of 700 s at its input."""
     rng, y, integral, past, rows = np.random.default_rng(7), 50.0, 50.0, [50.0] * 3, []
