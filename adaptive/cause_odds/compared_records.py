@@ -10,6 +10,7 @@ Real loads swing and pause as well: a walk leaves a rest of them, which the inve
 what the setpoint makes co do. By loads alone A would say nothing, for the load may then be everything.
 """
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -29,10 +30,11 @@ from retuner.adaptive.explanations.wandering_load import (
     temper,
 )
 from retuner.adaptive.identification.candidate import MODEL_ERROR
-from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.adaptive.signals.sample import FloatArray, Window, quantile
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
 
+MOST_HELD = 0.9  # quantile of the rows for which pv stands still, no shorter than their mean where it is quantised
 FEWEST_RECORD_SAMPLES = 60
 """Samples of a record that a load that wanders is looked for in."""
 
@@ -117,8 +119,11 @@ def _share(record: Prepared, setpoint: FloatArray, likelihood: FloatArray) -> tu
 
 
 def _interval_s(window: Window, settings: OddsSettings) -> float:
-    """The interval at which a record is compared: a few windows hold it, and pv shows a change in most of its rows."""
+    """The interval at which a record is compared: a few windows hold it, and pv shows a change in most of its rows.
+
+    What is at rest without any noise before a step, and after it, shows a change in each row between.
+    """
     fits = -(-len(window.t_s) // (settings.most_windows * MOST_SAMPLES))
-    moves = float(np.mean(np.diff(window.pv) != 0.0))
-    shown = min(round(1.0 / max(moves, 1e-9)), settings.most_held)
+    held = np.diff(np.flatnonzero(np.diff(window.pv, prepend=math.nan, append=math.nan)))
+    shown = min(round(min(float(np.mean(held)), quantile(held, MOST_HELD))), settings.most_held)
     return window.sample_time_s * max(fits, min(shown, max(len(window.t_s) // FEWEST_RECORD_SAMPLES, 1)))

@@ -23,7 +23,6 @@ from retuner.adaptive.diagnosis.cause import (
 from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.rival_fits import moves_pv
 from retuner.adaptive.fit.record import apart, setpoint_changes
-from retuner.adaptive.fit.structure import model_at
 from retuner.adaptive.identification.candidate import Candidate
 from retuner.adaptive.identification.dead_time_bound import bounded
 from retuner.adaptive.identification.estimate import ModelEstimate, factor_text, gain_spread
@@ -233,12 +232,11 @@ def _in_order_with_play(loop: JudgedLoop, found: RecordVerdict) -> str:
     played = min(rivals, key=lambda s: s.fit.criterion)
     if played.fit.criterion > least:
         return ""
-    fit = played.fit.fit
-    model = model_at(fit.misfit.type, fit.x, fit.misfit.sign).seen_by_controller(loop.window.sample_time_s)
+    model = played.fit.model.seen_by_controller(loop.window.sample_time_s)
     other = tuning_cause(model, loop.gains, found.tuning.tuning.gains, 0.1, loop.settings.cause)
     if other.cause == found.diagnosis.cause:
         return ""
-    share = played.valve.stick / fit.misfit.record.co_range
+    share = played.valve.stick / played.fit.fit.misfit.record.co_range
     return (
         f"a valve with play of {share:.0%} of the range of co explains the record as well. "
         f"With it the cause is {other.cause}: {other.reason}. Without it it is {found.diagnosis.cause}"

@@ -71,17 +71,18 @@ def with_jumps(record: Prepared, walk: FloatArray, direction: int, gain_unit: fl
     return np.asarray(np.logaddexp(walk, jumping) - math.log(2.0))
 
 
-def delayed(moved: FloatArray, rows: int) -> FloatArray:
-    """The same so many rows later, from rest; at rest throughout where that is beyond the end."""
-    n = len(moved)
-    return np.concatenate([np.zeros(min(rows, n)), moved[: max(n - rows, 0)]])
+def delayed(moved: FloatArray, rows: float) -> FloatArray:
+    """The same so many rows later, from rest, straight between rows; at rest throughout beyond the end."""
+    n, (whole, part) = len(moved), divmod(rows, 1.0)
+    late = np.concatenate([np.zeros(min(int(whole), n) + 1), moved])
+    return np.asarray((1.0 - part) * late[1 : n + 1] + part * late[:n])
 
 
 def shocks_that_pay(
-    record: Prepared, lag: float, load: tuple[float, int], beside: FloatArray
+    record: Prepared, lag: float, load: tuple[float, int], beside: FloatArray, second: float = 0.0
 ) -> tuple[list[int], float]:
     """Rows of the shocks that are worth their price, and ln L with them, priced. As for `shocks`."""
-    rows, told = shocks(record, lag, 0.0, load, MOST_JUMPS, beside)
+    rows, told = shocks(record, lag, second, load, MOST_JUMPS, beside)
     told = told - JUMP_PRICE * math.log(len(record.pv)) * np.arange(len(told))
     return rows[: int(np.argmax(told))], float(np.max(told))
 

@@ -11,7 +11,7 @@ each slip decides when the next one comes, so a band that is off by a hundredth 
 
 What the grid of processes lacks passes for a valve, or hides one, the more so the less noise there is: under a setpoint
 step of twelve standard deviations a quarter of a sample of dead time was e^230. So both sides have dead times of an
-eighth of a sample, and co itself may go through one short lag besides.
+eighth of a sample, and co itself may go through one short lag besides, or through the process that a fit found.
 
 A record begins anywhere in a valve's band, and shows one or two slips of one whose band is wider than co's range there:
 so bands go to 1.6 ranges, and not all valves begin in the middle. Records of one loop have one and the same valve: its
@@ -25,6 +25,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from retuner.adaptive.explanations.jumping_load import delayed, shocks_that_pay
+from retuner.adaptive.explanations.process_grid import DEAD_TIMES as EVERY_DEAD_TIME
 from retuner.adaptive.explanations.tone import ToneColumns
 from retuner.adaptive.explanations.wandering_load import (
     SLOPE,
@@ -39,6 +40,7 @@ from retuner.adaptive.explanations.wandering_load import (
     spectrum,
     under_loads,
 )
+from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.adaptive.valve.valve_model import Family, StuckValve
 from retuner.schedule.late_dataclass import dataclass, replace
@@ -91,12 +93,15 @@ def positions(co: FloatArray, valves: Sequence[Valve]) -> tuple[list[int], Float
     return which, np.array([each[i] - each[i][0] for i in which])
 
 
-def log_odds_of_valve(records: Sequence[Prepared], direction: int, tone: ToneColumns = NO_TONE) -> float:
+def log_odds_of_valve(
+    records: Sequence[Prepared], direction: int, tone: ToneColumns = NO_TONE, fitted: ProcessModel | None = None
+) -> float:
     """Tempered logarithm of the Bayes factor of a valve that sticks or has play; 0 where no valve moves.
 
-    records : of one loop. direction : sign of the process gain. tone : that every load may hold.
+    records : of one loop. direction : sign of the process gain. tone : that every load may hold. fitted : the process
+    by a fit to one of them.
     """
-    each = [one for record in records if (one := _compared(record, direction, tone)) is not None]
+    each = [one for record in records if (one := _compared(record, direction, tone, fitted)) is not None]
     alone = sum(one.odds for one in each)
     if len(each) < 2:
         return alone
@@ -138,35 +143,40 @@ class _Compared:
             found = np.array([self.jumping(*one) for one in zip(rows, found.tolist(), strict=True)])
         return found - self.free
 
-    def jumping(self, row: FloatArray, told: float) -> float:
+    def jumping(self, row: FloatArray, told: float, fitted: Sequence[tuple[float, float, FloatArray]] = ()) -> float:
         """Tempered log-likelihood of an input where in one half of cases the load jumps or turns corners besides.
 
-        told : where it only wanders. Jumps are loads, and count as those do.
+        told : where it only wanders. fitted : first and second lag, and what a process by a fit makes of the input: a
+        walk that leaves jumps over is likeliest behind another one. Jumps are loads, and count as those do.
         """
         given = self.record, self.direction, self.tone, row[None]
         each = [_weighed(*given, lag, self.loads, FREE_DEAD_TIMES)[:, :, 0].max(axis=0) for lag in FREE_LAGS]
         pairs = [(k, through) for k, one in enumerate(each) for through in range(len(one))]
-        most = -math.inf
+        tried = list(fitted)
         for k, through in sorted(pairs, key=lambda at: -float(each[at[0]][at[1]].max()))[:SEARCHED]:
             dead = int(FREE_DEAD_TIMES[int(np.argmax(each[k][through]))])
-            late = delayed(responses(row, FREE_LAGS[k])[through], dead)
-            most = max(most, *(shocks_that_pay(self.record, FREE_LAGS[k], load, late)[1] for load in JUMPING))
+            tried.append((FREE_LAGS[k], 0.0, delayed(responses(row, FREE_LAGS[k])[through], dead)))
+        most = max(shocks_that_pay(self.record, lag, load, late, by)[1] for lag, by, late in tried for load in JUMPING)
         return told + float(np.logaddexp(0.0, (most - T_SETPOINT * told) / TEMPER)) - math.log(2.0)
 
 
-def _compared(record: Prepared, direction: int, tone: ToneColumns) -> _Compared | None:
-    """A record beside all valves; None where co or every valve stands still."""
+def _compared(record: Prepared, direction: int, tone: ToneColumns, fitted: ProcessModel | None) -> _Compared | None:
+    """A record beside all valves; None where co or every valve stands still. fitted : of log_odds_of_valve."""
     travel = float(np.ptp(record.co))
     moved = [positions(record.co, valves) for valves in KINDS] if travel > 0 else [([], record.co)]
     if not all(which for which, _ in moved):
         return None
-    n, spectra, short = len(record.co), spectrum(record.co), [pole_of(lag) for lag in SHORT]
-    lagged = [filtered(spectra, n, impulse_response((1.0 - pole,), (1.0, -pole), n)) for pole in short]
-    co = np.array([record.co, *lagged])
+    co = np.array([record.co, *(through_lag(record.co, lag) for lag in SHORT)])
     sides = [_screened(record, direction, tone, rows, OCTAVES).max(axis=1) for rows in (co, moved[0][1])]
     by_load = np.maximum(*(side - side.max() for side in sides))  # either side is compared under its own likeliest ones
     loads = [OCTAVES[i] for i in np.argsort(-by_load, kind="stable")[:CLOSER_LOADS]]
     free = float(_likeliest(record, direction, tone, co, loads, len(FREE_LAGS)).max())
+    own = []
+    if fitted is not None:
+        lag, second, dead = lags_of(fitted, record)
+        through = through_lag(record.co, second)
+        by_fit = _weighed(record, direction, tone, through[None], lag, loads, (dead,), first_only=True)
+        free, own = max(free, float(by_fit.max())), [(lag, second, delayed(responses(through, lag)[0], dead))]
     said, likeliest, beside = [], [], []
     for valves, (which, rows) in zip(KINDS, moved, strict=True):
         screened = _screened(record, direction, tone, rows, loads[:SCREENED]).max(axis=0)
@@ -182,7 +192,7 @@ def _compared(record: Prepared, direction: int, tone: ToneColumns) -> _Compared 
     if one.odds <= 0.0 or len(tone.columns):
         return one
     # free jumps of a load explain what the slips of a valve do, so both sides have them
-    one, said = replace(one, free=one.jumping(record.co, free), jumps=True), []
+    one, said = replace(one, free=one.jumping(record.co, free, own), jumps=True), []
     for (rows, found), many in zip(beside, among, strict=True):
         with_jumps = np.array([one.jumping(*each) for each in zip(rows, found.tolist(), strict=True)]) - one.free
         said.append(log_mean(with_jumps) + math.log(len(rows) / many))
@@ -211,6 +221,24 @@ def _likeliest(
             closer = _weighed(record, direction, tone, rows[i : i + 1], FREE_LAGS[k], loads, dead)
             found[i] = max(found[i], float(closer.max()))
     return found
+
+
+def lags_of(fitted: ProcessModel, record: Prepared) -> tuple[float, float, float]:
+    """First and second lag of a process, and its dead time, in samples of a record."""
+    dt = record.sample_time_s
+    first = math.inf if fitted.linear().integrators else max(fitted.tau1_s / dt, LEAST_LAG)
+    return first, fitted.tau2_s / dt, min(fitted.theta_s / dt, EVERY_DEAD_TIME[-1])
+
+
+LEAST_LAG = 0.02  # samples; a shorter one is none
+
+
+def through_lag(rows: FloatArray, lag: float) -> FloatArray:
+    """Rows through a lag in samples, from rest."""
+    if lag < LEAST_LAG:
+        return rows
+    n, pole = rows.shape[-1], pole_of(lag)
+    return filtered(spectrum(rows), n, impulse_response((1.0 - pole,), (1.0, -pole), n))
 
 
 def _weighed(

@@ -9,9 +9,9 @@ from retuner.adaptive.fit.misfit import LOAD_COST, Colour, Misfit, colour, crite
 from retuner.adaptive.fit.record import are_coincident
 from retuner.adaptive.fit.refine import EXACT, Fit, Prior, refine
 from retuner.adaptive.fit.search import load_times
-from retuner.adaptive.fit.structure import SIZE
+from retuner.adaptive.fit.structure import SIZE, model_at
 from retuner.adaptive.identification.usual_dead_time import RARE
-from retuner.adaptive.process.model import ProcessType
+from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.schedule.late_dataclass import dataclass, replace
 
 MODEL_ERROR = 0.005
@@ -33,6 +33,11 @@ class Candidate:
         m = self.fit.misfit
         loads = m.loads, m.corners, m.rounded, m.ramp, m.harmonics
         return m.type, m.sign, loads, m.sigma, m.ar, m.most_order, self.criterion, self.fit.p.tobytes()
+
+    @property
+    def model(self) -> ProcessModel:
+        """The process."""
+        return model_at(self.fit.misfit.type, self.fit.x, self.fit.misfit.sign)
 
     @property
     def whitened(self) -> bool:

@@ -227,7 +227,7 @@ class Fits:
         at = self._coincident(best)
         if not at or self.barred[0].colour.std > self._settings.hopeless * self.free[0].colour.std:
             return None
-        free, barred = (model_at(c.fit.misfit.type, c.fit.x, c.fit.misfit.sign) for c in (best, self.barred[0]))
+        free, barred = (c.model for c in (best, self.barred[0]))
         distance = apart(free, barred, self._window.sample_time_s)
         return RivalModel(barred, distance, float(self._window.t_s[0]) + at[0])
 
@@ -244,7 +244,7 @@ class Fits:
         best = self.free[0]
         choice = replace(self._settings.choice, most_order=0, most_loads=WHITE_LOADS)
         other = candidates(self._window, (best.fit.misfit.sign,), choice, self._samples)[0]
-        own, white = (model_at(c.fit.misfit.type, c.fit.x, c.fit.misfit.sign) for c in (best, other))
+        own, white = (c.model for c in (best, other))
         between = apart(own, white, self._window.sample_time_s)
         if between <= self._settings.apart_limit:
             return found

@@ -69,11 +69,7 @@ def plausible(found: list[Candidate], covariance: FloatArray, priors: Priors) ->
         (max(SIZE[c.fit.misfit.type] - size, 0) + rounding * int(c.fit.misfit.rounded)) * math.log(n) for c in others
     ]
     excess = [max(c.criterion - best.criterion - price, 0.0) for c, price in zip(others, more, strict=True)]
-    rivals = [
-        Plausible(model_at(c.fit.misfit.type, c.fit.x, c.fit.misfit.sign), e)
-        for c, e in zip(others, excess, strict=True)
-        if e < MOST_EXCESS
-    ]
+    rivals = [Plausible(c.model, e) for c, e in zip(others, excess, strict=True) if e < MOST_EXCESS]
     return (*own, *_valley(_opened(fit, priors), priors, at), *rivals)
 
 

@@ -20,6 +20,7 @@ MOVING = 0.3  # share of the other samples in which co must change for a recogni
 
 BACK = 0.75
 """Share of the samples at an extreme in which the error pushes inwards, from which a hand must hold co there."""
+REST = 1e-9  # share of the largest error up to which there is none: digits of a double
 CROSSINGS = 6.0
 """Times a long stretch in which the error changes its sign, from which the same is so: a wound-up one does so once."""
 
@@ -65,6 +66,8 @@ def _recognised(x: FloatArray, push: FloatArray | None) -> float:
         held = np.zeros_like(top)  # in runs of STRETCH and more
         for start, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
             held[start:end] = end - start >= STRETCH
+        if float(np.mean(np.abs(push[top]) <= REST * np.max(np.abs(push)))) > BACK:
+            return 0.0  # nothing pushes
         crossings = int(np.count_nonzero(np.diff(np.sign(push[held]))))
         if float(np.mean(push[top] < 0)) > BACK or crossings > CROSSINGS * max(len(runs(held)), 1):
             return 0.0  # a hand holds co at its extreme

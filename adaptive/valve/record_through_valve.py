@@ -26,7 +26,6 @@ import numpy as np
 
 from retuner.adaptive.fit.record import Record, setpoint_changes
 from retuner.adaptive.fit.refine import refine
-from retuner.adaptive.fit.structure import model_at
 from retuner.adaptive.identification.candidate import Candidate
 from retuner.adaptive.identification.identify import Fits, FitSettings
 from retuner.adaptive.rules.simc import without_second_lag
@@ -150,7 +149,7 @@ def _grid(co_range: float) -> Iterator[StuckValve]:
 def _by_nodes(record: Record, sign: int, valves: list[StuckValve], linear: list[Candidate]) -> Iterator[Sticking]:
     """The best of each valley with one lag or two."""
     # Lags and dead times round those of the linear explanations
-    models = [model_at(c.fit.misfit.type, c.fit.x, c.fit.misfit.sign) for c in linear[:LINEAR]]
+    models = [c.model for c in linear[:LINEAR]]
     theta = float(np.exp(np.mean([math.log(without_second_lag(model).theta_s) for model in models])))
     lags = [min(factor * theta, record.span_s) for factor in LAGS]
     pairs = [(lag, 0.0) for lag in lags] + [(lag, SECOND_LAG * theta) for lag in lags[1:]]

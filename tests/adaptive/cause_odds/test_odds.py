@@ -409,6 +409,25 @@ def test_settings_of_a_single_fit_ask_for_the_odds_that_all_settings_do(p: float
     assert (found.found.tuning is not None) is by_fit
 
 
+@pytest.mark.parametrize(
+    ("noise", "dead", "ends", "cause"),
+    [(5e-6, 2, 600, Cause.OK), (5e-4, 2, 300, Cause.OK), (5e-3, 2, 600, Cause.OK), (0.0, 0, 600, Cause.SLUGGISH)],
+)
+def test_a_loop_simulated_without_noise_has_no_valve_and_no_bend(
+    noise: float, dead: int, ends: int, cause: Cause
+) -> None:
+    """What the grid of lags and gains lacks was a valve by 97 % in two of these, a gain that bends in the others."""
+    n, rng, pole, total, y = 600, np.random.default_rng(1), math.exp(-0.1), 0.0, 0.0
+    sp = np.where((np.arange(n) >= 50) & (np.arange(n) < ends), 5.0, 0.0)
+    pv, co = np.zeros(n), np.zeros(n)
+    for i in range(n):
+        pv[i] = y + noise * rng.standard_normal()
+        total += 0.1 * (sp[i] - pv[i])
+        co[i] = sp[i] - pv[i] + total
+        y = pole * y + (1 - pole) * (co[i - dead] if i >= dead else 0.0)
+    assert diagnose(np.arange(float(n)), sp, pv, co, gains=PidGains(1.0, 0.1)).cause == cause
+
+
 def test_a_sluggish_loop_without_settings_is_told_why() -> None:
     """Loads alone leave it open; with them the gains that are not known surely keep settings away, and that is said."""
     window = loop(0.12, seed=4)

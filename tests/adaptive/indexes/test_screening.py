@@ -50,6 +50,8 @@ def test_limits_are_recognised_but_not_where_co_only_stands_still(wave):
     assert at_limits(60 * wave("sine")).hit == 0
     assert at_limits(np.repeat([1.0, 2, 3, 2, 1, 3, 1, 3], 100)).hit == 0  # held values
     assert at_limits(np.ones(100)).hit == 0
+    fades = np.append(0.9 ** np.arange(50), np.zeros(100))  # simulated without noise, it comes to rest
+    assert at_limits(1.0 - fades, error=fades).hit == 0
 
 
 def closed(rng, *, hand=lambda _: False, high=100.0, wound_up=False, n=900):
