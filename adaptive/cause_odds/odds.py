@@ -422,7 +422,6 @@ def _verdict(
     alone = not any(setpoint_changes(w) for w, _ in open_ones) and any(_lasts(f) for _, f in open_ones)
     alone = alone and _less(causes) < settings.loads_odds
     overshoots = any(f.diagnosis.evidence.get("overshoot", 0.0) > OVERSHOOTS for _, f in open_ones)
-    overshoots = any(f.diagnosis.evidence.get("overshoot", 0.0) > OVERSHOOTS for _, f in open_ones)
     worth, none = None, UNKNOWN_GAINS if not sure else SWINGS_ALONE if alone else ""
     if odds is not None and open_to_odds and not alone:
         worth, none = _settings(causes, odds, walk.moved, settings)
