@@ -165,7 +165,7 @@ def signal(kind: str, n: int, rng: np.random.Generator) -> np.ndarray:
     return np.asarray(made, dtype=np.float64)
 
 
-@settings(max_examples=examples(60), deadline=None)
+@settings(max_examples=examples(30), deadline=None)
 @given(SIGNAL, SIGNAL, SIGNAL, st.integers(30, 700), st.integers(0, 2**16), st.sampled_from([0.0, 0.02, 0.2]))
 def test_no_window_of_any_signals_raises(sp: str, pv: str, co: str, n: int, seed: int, gaps: float) -> None:
     rng = np.random.default_rng(seed)

@@ -32,9 +32,9 @@ from retuner.schedule.table import GainTable
     ("kp", "ki", "cause", "sign"),
     [
         (0.25, 0.25, Cause.SLUGGISH, -1),
-        (2.4, 2.4, Cause.AGGRESSIVE, 1),
+        pytest.param(2.4, 2.4, Cause.AGGRESSIVE, 1, marks=pytest.mark.slow),
         (2.4, 2.4, Cause.AGGRESSIVE, -1),
-        (0.3, 1.5, Cause.SLOW_INTEGRATING, 1),
+        pytest.param(0.3, 1.5, Cause.SLOW_INTEGRATING, 1, marks=pytest.mark.slow),
     ],
 )
 def test_wrong_gains_are_cured_for_their_cause(kp: float, ki: float, cause: Cause, sign: int) -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import answer, printed
+from command_line import printed
 
 from retuner.adaptive.cause_odds import doubt_of_settings
 from retuner.adaptive.cause_odds.doubt_of_settings import share_over
@@ -62,6 +62,7 @@ def test_the_process_of_each_region_has_that_sign_too() -> None:
     assert [one is not None and one.estimate.log.model().k > 0.0 for one in found] == [True, True]  # -0.26 above
 
 
+@pytest.mark.slow
 def test_a_model_with_a_drift_is_held_against_all_processes_under_a_load_that_wanders() -> None:
     found = identify_record(record("inverse_three_thousand_rows"))
     assert not found.identifiable
@@ -103,8 +104,4 @@ def test_where_no_process_is_identified_the_command_tells_what_diagnose_says(tmp
     np.savetxt(path, columns, delimiter=",", header="t,sp,pv,co", comments="")
     shown = printed("identify", path, status=1)
     assert "retuner diagnose, which weighs all processes and loads: AGGRESSIVE" in shown
-    assert "recommended  Kc" in shown
-    document = answer("identify", path, status=1)
-    assert document["gains"] is None
-    assert document["diagnosis"]["cause"] == "aggressive"
-    assert 0.5 < document["diagnosis"]["gains"]["kc"] < 2.0
+    assert 0.5 < float(shown.split("recommended  Kc ")[1].split()[0]) < 2.0

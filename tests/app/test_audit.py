@@ -290,8 +290,7 @@ def test_a_process_that_dies_costs_its_own_loop_only() -> None:
     assert all("failed" not in rows[name] for name in "abc")
 
 
-@pytest.mark.slow
-@pytest.mark.uncounted
+@pytest.mark.nightly
 def test_a_cluster_whose_worker_is_killed_does_all_the_work(tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed", reason="the extra [cluster] is not installed")
     copies = [Path(shutil.copy(VALVE, tmp_path / f"loop{i}.csv")) for i in range(6)]

@@ -75,7 +75,7 @@ def test_on_line_no_gains_change_where_diagnose_names_a_valve_or_nothing(name, r
     assert all(decision.gains_after is None for decision in made)
 
 
-@pytest.mark.parametrize("name", ["tight", "FIC20102_1016_12.csv"])
+@pytest.mark.parametrize("name", [pytest.param("tight", marks=pytest.mark.slow), "FIC20102_1016_12.csv"])
 def test_diagnose_identify_schedule_audit_and_the_retuner_say_one_cause_of_a_record(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -89,8 +89,7 @@ def test_a_process_that_dies_in_a_write_leaves_gains_that_the_next_one_knows(exa
     assert 1.0 < rig.gains.kp < 1.6
 
 
-@pytest.mark.slow
-@pytest.mark.uncounted
+@pytest.mark.nightly
 def test_it_runs_as_printed() -> None:
     done = subprocess.run(
         [sys.executable, "-P", "-W", "error", EXAMPLE, "--speed", "200"], capture_output=True, text=True, check=True

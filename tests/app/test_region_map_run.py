@@ -11,6 +11,7 @@ import can
 import numpy as np
 import pytest
 from command_line import answer, printed, refused
+from effort import sized
 from once import once
 
 from retuner.adaptive.signals.sample import LoopSample
@@ -107,12 +108,12 @@ def bench(config: Config, channel: str, mode: Mode = Mode.OFF, log: Path | None 
         yield Bench(config, device, session, clock, DeviceOnBus(device, far), rows)
 
 
+LAWS = (("", ""), ("tau_d_s = 3.0\n", "b = 0.6\nco_rate_pct_per_s = 0.5\n"), ("tau_d_s = 3.0\n", "tau_f_s = 1.0\n"))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("lookup", ["hard", "interpolated"])
-@pytest.mark.parametrize(
-    ("derivative", "loop"),
-    [("", ""), ("tau_d_s = 3.0\n", "tau_f_s = 1.0\n"), ("tau_d_s = 3.0\n", "b = 0.6\nco_rate_pct_per_s = 0.5\n")],
-)
+@pytest.mark.parametrize(("derivative", "loop"), LAWS[: sized(2, 2, 3)])
 def test_no_crossing_bumps_on_the_device(lookup: str, derivative: str, loop: str) -> None:
     """At every swap of gains co is what the old law would have given at this sample, over both kinds of borders."""
     with bench(config(lookup, derivative, loop), f"map-{lookup}-{len(loop)}") as b:

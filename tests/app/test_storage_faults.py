@@ -62,10 +62,10 @@ def test_full_read_only_missing_and_shared_places_are_one_line_and_lose_nothing(
 def test_power_cuts_lose_nothing_acknowledged() -> None:
     if not shutil.which("dmsetup") or not shutil.which("linux.uml"):
         pytest.skip("apt-get install user-mode-linux dmsetup")
-    result = part(RUNNER, "--uml", "--timeout", 120, "--", sys.executable, "-P", POWER, "--cuts", 4)
+    result = part(RUNNER, "--uml", "--timeout", 120, "--", sys.executable, "-P", POWER, "--cuts", 2)
     assert result["wrong"] == []
-    assert result["cuts"] == {"drop": 2, "refuse": 2}
-    assert result["rows"] > 50
+    assert result["cuts"] == {"drop": 1, "refuse": 1}
+    assert result["rows"] > 25
 
 
 # ---- The hostile inputs of benchmarks/hostile, a few hundred of each; the full counts are a nightly command
@@ -84,7 +84,7 @@ def judged(*arguments: object) -> dict:
 @pytest.mark.parametrize(
     ("kind", "count", "cut_every"),
     [
-        ("dbc", 150, 300),
+        pytest.param("dbc", 150, 300, marks=pytest.mark.slow),
         ("config", 600, 5),
         ("gains", 1000, 1),
         ("csv", 1000, 1),
@@ -101,6 +101,7 @@ def test_a_hostile_file_ends_in_one_line_or_is_harmless(kind: str, count: int, c
     assert result["cuts"]["refused"] > 5
 
 
+@pytest.mark.slow
 def test_hostile_files_end_a_command_in_status_2_and_one_line_and_a_broken_ledger_in_1() -> None:
     count = sized(3_000, 3_000, 12_000)
     result = judged("commands", "--count", count)

@@ -40,7 +40,7 @@ STATIC = tuple(
 MOST_WORDS_PRINTED = 24
 MOST_WORDS_IN_DOCS = 29
 FENCED = re.DOTALL | re.MULTILINE
-OLD = re.compile("|".join(rf"\b(?:{old})(?!\w)" for term in TERMS for old in term.old), re.IGNORECASE)
+OLD = re.compile(rf"\b(?:{'|'.join(old for term in TERMS for old in term.old)})(?!\w)", re.IGNORECASE)
 FORMS = (ast.Dict, ast.List, ast.Set, ast.Tuple, ast.ListComp, ast.DictComp, ast.SetComp, ast.GeneratorExp)
 CALLS = {"list", "dict", "set", "tuple", "sorted", "asdict", "gains_dict", "tolist", "to_dict", "_asdict"}
 """What is shown as Python writes it when it stands in an f-string."""

@@ -218,8 +218,7 @@ def test_a_right_set_takes_the_place_of_a_sluggish_one():
         assert change.said == change.new
 
 
-@pytest.mark.slow
-@pytest.mark.uncounted
+@pytest.mark.nightly
 def test_a_load_that_wanders_takes_back_no_right_set_and_hides_no_unstable_one():
     right = injected.run(Task("right", 31, 3, wander="walk"))
     assert not right["rolled_back"]
@@ -257,8 +256,7 @@ def test_a_change_is_by_the_factor_in_one_parameter(kind):
     assert sorted(ratios)[:2] == pytest.approx([1.0, 1.0])
 
 
-@pytest.mark.slow
-@pytest.mark.uncounted
+@pytest.mark.nightly
 def test_a_loop_that_changes_is_run_and_judged_as_what_it_has_become():
     row = changes.run(Task("gain", 3, 0))
     assert len(row["spec"]) == changes.UPSETS

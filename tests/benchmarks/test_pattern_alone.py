@@ -1,9 +1,11 @@
-"""The pattern rule as a whole tuner, by itself, on processes of the batch: near its targets, and then at rest."""
+"""The pattern rule as a whole tuner, by itself, on processes of the batch: near its targets, and then at rest; and what
+it was known to fall for: two upsets close together read as one oscillation.
+"""
 
 import math
 from dataclasses import replace
 from functools import cache
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +18,10 @@ from online.rivals import PatternAlone, batch
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import LoopSample
+from retuner.adaptive.supervision.response_finder import Completed, ResponseFinder
+from retuner.adaptive.without_model.pattern_rule import MOVING, PatternAdvice, PatternSettings, pattern_rule
 from retuner.schedule.gains import PidGains
+from retuner.schedule.table import GainTable
 
 PROCESSES = {
     m.name: m.process
@@ -103,3 +108,44 @@ def test_a_loop_that_is_right_keeps_its_neighbourhood(name: str) -> None:
 def test_a_sluggish_loop_rejects_loads_faster_in_the_end(name: str) -> None:
     told = story(name, (0.25, 1.0))
     assert told.gains[-1].ki > 1.5 * told.gains[0].ki
+
+
+class Listening:
+    """Hears every response, and changes nothing."""
+
+    def __init__(self, table: GainTable, dt_s: float) -> None:
+        self.table, self.gains = table, table.gains_of(0)
+        self.finder = ResponseFinder(table.regions, table.at, settings(dt_s, 10.0))
+        self.heard: list[PatternAdvice] = []
+
+    def observe(self, sample: LoopSample) -> None:
+        seen = self.finder.step(sample)
+        if isinstance(seen, Completed):
+            window = self.finder.window(seen.response)
+            self.heard.append(pattern_rule(seen.response, window, self.gains, None, PatternSettings()))
+
+    def written(self, region: int, gains: PidGains) -> None:
+        raise AssertionError(f"nothing was asked for: {region} {gains}")
+
+
+def heard(name: str, second: float, gap_theta: float) -> list[PatternAdvice]:
+    """Under SIMC's gains, a load pulse one dead time long, and another one after the gap."""
+    process = PROCESSES[name]
+    dt_s = perfect(process, 0.0)[1] / 8
+    best = perfect(process, dt_s)[0]
+    listening = Listening(one_region(best), dt_s)
+    loop = WatchedLoop(HeldPlant(process, dt_s), listening.table, dt_s, listening)
+    rng, size = np.random.default_rng(1), 3.0 * best.kp
+    for load, n in ((0.0, 400), (size, 8), (0.0, int(8 * (gap_theta - 1))), (second * size, 8), (0.0, 1200)):
+        loop.run(0.0, load, list(0.01 * rng.standard_normal(n)))
+    return listening.heard
+
+
+@pytest.mark.slow
+@pytest.mark.uncounted
+def test_nearly_all_pairs_of_upsets_are_refused() -> None:
+    """Behind two lags at most, four, and a long dead time; the second upset as large as the first or half of it."""
+    cases = list(product(("P1 T=1", "P1 T=10", "P4 n=4", "P6 L=0.9"), (1.0, -1.0, 0.5, -0.5), (2.0, 4.0, 6.0, 10.0)))
+    all_heard = [advice for case in cases for advice in heard(*case)]
+    assert len(all_heard) >= len(cases)
+    assert sum(advice.reading in MOVING for advice in all_heard) <= 0.15 * len(cases)

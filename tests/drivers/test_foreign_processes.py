@@ -14,7 +14,7 @@ GROUP, SPEED = "239.74.163.9", "20"
 
 @pytest.mark.slow
 @pytest.mark.uncounted
-@pytest.mark.parametrize("profile", ["odrive", "cia404"])
+@pytest.mark.parametrize("profile", [pytest.param("odrive", marks=pytest.mark.nightly), "cia404"])
 def test_two_processes_speak_with_each_other(profile: str, tmp_path: Path) -> None:
     where = ["-i", "udp_multicast", "-c", GROUP, "--speed", SPEED if profile == "cia404" else "1"]
     text = (EXAMPLES / f"{profile}.toml").read_text()

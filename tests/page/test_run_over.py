@@ -146,7 +146,7 @@ def test_the_page_of_a_run_at_a_terminal_stays_until_ctrl_c(tmp_path: Path) -> N
     assert run.end() == 0
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_without_a_terminal_a_run_ends_by_itself(tmp_path: Path) -> None:
     (tmp_path / "short.toml").write_text(SHORT, encoding="utf-8")
     command = [sys.executable, "-P", "-m", "retuner", "run", "short.toml", "--out", "run", "--no-compare", "--serve"]

@@ -24,7 +24,7 @@ OTHER = PidGains(2.0, 0.125, 0.5)
 
 
 @pytest.mark.uncounted
-@pytest.mark.parametrize("first", range(0, sized(20, 20, 40), 10))
+@pytest.mark.parametrize("first", range(0, sized(10, 20, 40), 10))
 def test_no_promise_is_broken(first: int) -> None:
     outcomes = [run_seed((seed, STEPS, "both")) for seed in range(first, first + 10)]
 

@@ -11,11 +11,16 @@ import sys
 from pathlib import Path
 
 import pytest
+from effort import sized
 from once import once
 
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts" / "socketcan"
 IMPOSSIBLE = 77  # the runner's status when there is no way to a vcan0
-SHARE = 0.03  # of the full counts; two at least of everything
+SHARE = 0.02  # of the full counts; two at least of everything
+PARTS = ("updown", "recreate", "overflow", "clock", "errors", "foreign")
+LONG = sized((), (), ("gateway", "netem", "kill"))
+"""The nightly's: in every run tests/simulation loses, delays and corrupts frames and lets host and device crash, and
+tests/app/test_storage_faults.py kills processes."""
 
 
 @pytest.fixture(scope="module")
@@ -34,6 +39,8 @@ def ill_treat(folder: Path) -> None:
         sys.executable,
         "-P",
         SCRIPTS / "faults.py",
+        *PARTS,
+        *LONG,
         "--share",
         SHARE,
     ]
@@ -49,9 +56,7 @@ def ill_treat(folder: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.uncounted
-@pytest.mark.parametrize(
-    "part", ["updown", "recreate", "overflow", "clock", "errors", "gateway", "netem", "foreign", "kill"]
-)
+@pytest.mark.parametrize("part", [*PARTS, *LONG])
 def test_everything_is_recovered_from_and_every_loss_is_reported(part: str, parts: dict[str, dict]) -> None:
     told = parts[part]
     if "not here" in told:
@@ -68,5 +73,6 @@ def test_the_ill_treatment_took_place(parts: dict[str, dict]) -> None:
     assert parts["recreate"]["noticed by the host"] == parts["recreate"]["outages"] >= 2
     assert parts["overflow"]["dropped and counted"] > 1000
     assert parts["errors"]["faults"]["bus-off"] >= 2
-    assert parts["kill"]["kills"]["device"] >= 2
-    assert parts["kill"]["sets committed"] >= 2
+    if LONG:
+        assert parts["kill"]["kills"]["device"] >= 2
+        assert parts["kill"]["sets committed"] >= 2

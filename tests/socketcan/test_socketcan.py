@@ -62,7 +62,11 @@ def run_on_vcan(out: Path, *groups: str) -> None:
 
 @pytest.fixture(scope="module")
 def loops(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder that the virtual device and the session with it left."""
+    """The folder that the virtual device and the session with it left: the nightly's, for imports take a minute there.
+
+    In CI a device and a host speak on vcan0 in test_faults.py, and both commands over udp_multicast as README prints
+    them.
+    """
     return once(tmp_path_factory, "socketcan-loops", lambda out: run_on_vcan(out, "tank"))
 
 
@@ -100,15 +104,13 @@ def of_node(path: Path, node: int) -> Iterator[can.Message]:
         yield from (one for one in log if one.arbitration_id >> 5 == node and not one.is_extended_id)
 
 
-@pytest.mark.slow
-@pytest.mark.uncounted
+@pytest.mark.nightly
 def test_both_processes_end_well(loops: Path) -> None:
     assert ended(loops, "tank") == (0, 130)  # Ctrl-C
     assert " samples" in (loops / "tank.device").read_text()
 
 
-@pytest.mark.slow
-@pytest.mark.uncounted
+@pytest.mark.nightly
 def test_the_loop_was_retuned_and_the_ledger_says_so(loops: Path) -> None:
     found = kinds(loops, "tank")
     assert found.index("intent") < found.index("committed")
@@ -122,8 +124,7 @@ def test_the_loop_was_retuned_and_the_ledger_says_so(loops: Path) -> None:
     assert math.isclose(after["kp"], simc_kp, rel_tol=MARGIN)
 
 
-@pytest.mark.slow
-@pytest.mark.uncounted
+@pytest.mark.nightly
 def test_every_frame_on_the_bus_decodes_by_the_dbc(loops: Path) -> None:
     database = cantools.database.load_string(files("retuner.drivers").joinpath("retuner.dbc").read_text(), "dbc")
     names = Counter[str]()
@@ -138,8 +139,7 @@ def test_every_frame_on_the_bus_decodes_by_the_dbc(loops: Path) -> None:
     assert min(names[name] for name in ("HEARTBEAT", "SETPOINT", "STAGE", "COMMIT", "ACK", "PAGE")) >= 1, names
 
 
-@pytest.mark.slow
-@pytest.mark.uncounted
+@pytest.mark.nightly
 def test_the_run_logged_the_same_bus(loops: Path) -> None:
     logged = Counter(message.arbitration_id for message in of_node(loops / "tank" / "bus.blf", NODE))
     heard = Counter(message.arbitration_id for message in of_node(loops / "capture.log", NODE))

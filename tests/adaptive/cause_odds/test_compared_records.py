@@ -45,6 +45,7 @@ def test_under_a_load_that_swings_the_setpoint_tells_the_tuning(gains: PidGains,
     assert (found.settings is not None) == (cause == Cause.AGGRESSIVE)
 
 
+@pytest.mark.slow
 def test_a_record_shorter_than_an_interval_of_another_one_says_nothing_beside_it() -> None:
     slow = swung(TIGHT, 3)
     short = Window(slow.t_s[:100] / 1000.0, slow.sp[:100], slow.pv[:100], slow.co[:100])

@@ -428,6 +428,7 @@ def test_a_loop_simulated_without_noise_has_no_valve_and_no_bend(
     assert diagnose(np.arange(float(n)), sp, pv, co, gains=PidGains(1.0, 0.1)).cause == cause
 
 
+@pytest.mark.slow
 def test_a_sluggish_loop_without_settings_is_told_why() -> None:
     """Loads alone leave it open; with them the gains that are not known surely keep settings away, and that is said."""
     window = loop(0.12, seed=4)

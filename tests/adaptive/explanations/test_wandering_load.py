@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from drawn_loop import PRIOR, loop_record
+from effort import sized
 from scipy.optimize import brentq
 
 from retuner.adaptive.explanations.likely_processes import LikelyProcesses
@@ -288,7 +289,8 @@ def test_the_compiled_least_squares_beside_tones_are_those_of_numpy(lag: float) 
     assert np.max(np.abs(beside)) < 1e-9 * np.max(without.left)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(sized(1, 1, 3)))
 def test_the_compiled_likelihood_is_that_of_numpy(seed: int) -> None:
     pytest.importorskip("retuner.adaptive.fit.compiled", reason="the compiled engine was not built: no compiler")
     record, found = drawn_record(seed + 10), []

@@ -32,7 +32,7 @@ from retuner.adaptive.valve.valve_model import StuckValve
 from retuner.schedule.gains import PidGains
 
 compiled = pytest.importorskip("retuner.adaptive.fit.compiled", reason="the compiled engine was not built: no compiler")
-POINTS = sized(250, 100, 1000)
+POINTS = sized(40, 40, 1000)
 """Random points of every structure."""
 CLOSE = 1e-9
 """Largest difference, as a share of the largest value."""

@@ -34,6 +34,7 @@ def truth(y: float, growth: float) -> ProcessModel:
     return ProcessModel(ProcessType.FOPDT, C * tau_s(y, growth), tau_s(y, growth), 0.0, THETA_S)
 
 
+@pytest.mark.slow
 @pytest.mark.uncounted
 def test_the_course_of_the_lag_lies_inside_its_band_and_the_rest_is_constant() -> None:
     design = found()

@@ -49,8 +49,7 @@ def test_its_push_is_not_taken_for_the_process() -> None:
     assert np.exp(told.ln(np.array([20.0]))[0, 1]) == pytest.approx(DEAD, rel=0.25)
 
 
-@pytest.mark.slow
-@pytest.mark.uncounted
+@pytest.mark.nightly
 def test_left_out_of_the_model_it_becomes_loads_that_no_plant_has() -> None:
     with_push, without = (sum(map(len, found(pushed=pushed).joint.loads)) for pushed in (True, False))
     assert without > with_push
