@@ -58,9 +58,9 @@ def mismatch(identity: Identity, sample_time_s: float) -> str:
     return ""
 
 
-SLOWER_SAMPLES = STAMP_SAMPLES // 4
-"""Samples by which a device may be behind its sample time, over a time in which nobody looked; a stamp that is older
-than the device's time by less than STAMP_SAMPLES counts, one that is younger does not."""
+SLOWER_SAMPLES = STAMP_SAMPLES // 2
+"""Samples by which a device may be behind its sample time, or ahead of it, over a time in which nobody looked; a stamp
+that is older than the device's time by less than STAMP_SAMPLES counts, one that is younger does not."""
 
 
 GAIN_KINDS = (frames.Kind.STAGE, frames.Kind.COMMIT, frames.Kind.ABORT)

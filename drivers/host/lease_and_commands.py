@@ -122,6 +122,7 @@ class LeaseKeeper:
         with self._lock:
             if ack.reason == Reason.STALE:
                 self._counter = (self._counter + COUNTER_LEAP) % COUNTER_WRAP
+                self._next_s = float("-inf")  # the link's clock was wrong about the device's: with this poll's stamp
                 return None
             if self._asked:
                 self._since_s = self._asked.popleft()

@@ -85,7 +85,8 @@ TRANSITIONS: dict[tuple[WritePhase, WriteInput], WritePhase] = {
 """Everything that is not here leaves the phase as it is: a late or foreign answer."""
 
 SEQUENCES = 1 << 16
-TRIES = {P.CLAIMING: 4, P.STAGING: 4, P.COMMITTING: 1}  # the others try for ever: they establish what runs
+TRIES = {P.CLAIMING: 12, P.STAGING: 4, P.COMMITTING: 1}  # the others try for ever: they establish what runs
+"""A claim is made for as long as a lease lasts: nothing is staged yet, and a host that is late itself gets it then."""
 CLAIMS = 4  # times that one write may begin anew because its lease has run out
 NEEDS_ANEW = (wire.Reason.NOT_OWNER, wire.Reason.STALE)
 """Refusals of staging after a lease that ran out: nobody's now, or its number has been used up by what was dropped."""

@@ -20,9 +20,9 @@ from retuner.drivers.controller.device_process import DeviceOnBus
 from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
 from retuner.drivers.device import Event, LinkState, SamplesLost, WriteDone
 from retuner.drivers.host.can_device import CanDevice, CanDeviceSettings
-from retuner.drivers.host.lease_and_commands import UNATTENDED
+from retuner.drivers.host.lease_and_commands import UNATTENDED, LeaseKeeper
 from retuner.drivers.plants.linear_plant import LinearPlant
-from retuner.drivers.protocol.frames import HIGHEST_NODE, Ack, Lease, Reason
+from retuner.drivers.protocol.frames import HIGHEST_NODE, Ack, Kind, Lease, Reason
 from retuner.drivers.telemetry.signal_source import plant_message
 from retuner.schedule.gains import PidGains
 from retuner.session.bench_or_buses import live_buses
@@ -100,6 +100,15 @@ def test_a_lease_is_kept_while_the_host_does_something_else(bench: Bench) -> Non
     (done,) = bench.write()
     assert isinstance(done, WriteDone)
     assert bench.device.running.gains == OTHERS
+
+
+def test_a_request_of_a_wrong_time_is_made_again_with_what_the_next_poll_knows() -> None:
+    keeper = LeaseKeeper(1, 300, 3.0, 0.25)
+    assert keeper.due(0.0, 5)
+    keeper.on_ack(Ack(Kind.LEASE, 1, Reason.OK, 1))
+    assert keeper.prolong(1.1, 9)
+    keeper.on_ack(Ack(Kind.LEASE, 1, Reason.STALE, 1))
+    assert [frame.stamp for frame in keeper.due(1.12, 7)] == [7]
 
 
 def test_without_the_timer_it_runs_out(bench: Bench) -> None:

@@ -6,7 +6,7 @@ import pytest
 
 from retuner.drivers.device import RunningSet, WriteDone, WriteFailed
 from retuner.drivers.host.page_reader import PageReader, ReadBack
-from retuner.drivers.host.write_protocol import WriteInput, WriteOrder, WritePhase, WriteProtocol
+from retuner.drivers.host.write_protocol import TRIES, WriteInput, WriteOrder, WritePhase, WriteProtocol
 from retuner.drivers.protocol.checksum import page_crc
 from retuner.drivers.protocol.frames import Abort, Ack, Challenge, Commit, Kind, Page, Read, Reason
 from retuner.schedule.gains import PidGains
@@ -70,7 +70,7 @@ class Driven:
         {
             W.LAPSED: self.lapse,
             W.REFUSED: self.refused,
-            W.EXHAUSTED: lambda: [self.pass_time() for _ in range(4)],
+            W.EXHAUSTED: lambda: [self.pass_time() for _ in range(max(TRIES.values()))],
             W.RESTARTED: protocol.on_restart,
         }[event]()
 
