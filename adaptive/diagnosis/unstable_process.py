@@ -185,6 +185,7 @@ class _Fit:
 
     def __init__(self, pv: FloatArray, law: SampledLaw) -> None:
         self.pv, self.law, self.sign = pv, law, law.gains.direction
+        self.last = (b"", pv)  # a point and its residuals: slopes are asked for where residuals were
 
     def process(self, x: FloatArray) -> UnstableProcess:
         """The process at a point; its dead time no longer than the record, its pole no faster than a sample."""
@@ -195,8 +196,10 @@ class _Fit:
 
     def left(self, x: FloatArray) -> FloatArray:
         """Residuals in steps."""
-        said = _answer(self.process(x), self.law, len(self.pv))
-        return np.where(np.isfinite(said), self.pv - said, LOST)
+        if self.last[0] != x.tobytes():
+            said = _answer(self.process(x), self.law, len(self.pv))
+            self.last = x.tobytes(), np.where(np.isfinite(said), self.pv - said, LOST)
+        return self.last[1]
 
     def slopes(self, x: FloatArray) -> FloatArray:
         """Slopes of the residuals, by scipy's own steps: its way to them takes longer than the answers."""
