@@ -171,8 +171,9 @@ def by_book(book: Book, gains: PidGains, settings: BookSettings) -> ByBook:
     unproved = leans > 0 and float(drawn.weights @ drawn.runs_away) >= 1.0 - settings.bad_share
     if best is None or not leans or unproved or (leans != book.leans and not sure):
         return said
-    plausible = [one for order, one in by_orders.items() if book.odds_of(order) >= settings.bad_share]
-    if leans < 0 and any(gain(one, gains, best[1], settings)[1] < HALF for one in plausible):
+    least = settings.bad_share if leans < 0 else 0.0
+    under = [one for order, one in by_orders.items() if book.odds_of(order) >= least]
+    if any(gain(one, gains, best[1], settings)[1] < HALF for one in under):
         return said
     worth, new, peaks = best
     asked = ~drawn.runs_away & ((ms <= settings.ms_bad) | (peaks < ms) | (leans < 0))
