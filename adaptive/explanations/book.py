@@ -77,12 +77,10 @@ BY_ALL, ANSWERS = 2, 3  # planes
 TOLD = 0.5  # share of the moves of the setpoint from which these tell the process
 PLANES, WEIGHED = (4 + len(ORDERS), *GRID), 2
 """Every process by a load that wanders, without a tone and with one: their odds are those of a tone. Then by loads and
-answers to the setpoint, without a tone; by answers whatever the load; and without a tone under each order of load:
-their odds are those of the orders.
+answers to the setpoint, without a tone; by answers whatever the load; and without a tone under each order of load.
 """
-OF_ORDERS = slice(ANSWERS + 1, PLANES[0])
-WHOLE = (slice(WEIGHED), slice(BY_ALL, ANSWERS), slice(ANSWERS, ANSWERS + 1), OF_ORDERS)
-"""Planes whose weights are one together."""
+WHOLE = (slice(WEIGHED), *(slice(i, i + 1) for i in range(WEIGHED, PLANES[0])))  # planes whose weights are one together
+ALIKE = (1.0 / len(ORDERS),) * len(ORDERS)  # odds of the orders of load before any record
 BEYOND, MOST_ROOM, MS_OF_ROOM = 1.25, 12.0, 1.7
 """Loop gains so many times beyond the limit of stability are left out, and processes on which so many times all actions
 keep Ms under this. A loop at work comes from neither: one that does next to nothing has a co that undoes its load, too.
@@ -91,6 +89,7 @@ SHARES = (1.0, 0.5, 0.25)  # shares of the gains in force, one of which must hol
 RUNAWAYS = 0.02
 """Odds that a process runs away by itself, before any record: exothermic reactors, some tanks and vehicles."""
 NUMBERS = ("unit", "dt_s", "t_s", "moved", "moved_before", "tone_s")  # of a book, kept as they are
+OF_ORDERS = ("orders", "orders_before")
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +101,7 @@ class Book:
     records : windows that said something. leans : what followed at the last look, -1 less action, 1 more, 0 nothing.
     moved : how far the moves of the setpoint tell the process, 0 to 1: the sum of their shares of the windows;
     moved_before : without the window that still grows. tone_s : period of the last window's tone, 0 before any.
+    orders : odds of each of ORDERS of load; orders_before : without the window that still grows.
     levels : of each process on each of PLANES, how many STEP its logarithm of the weight lies under the largest;
     whole : without the window that still grows; prior : before any.
     """
@@ -119,6 +119,8 @@ class Book:
     levels: bytes
     whole: bytes
     prior: bytes
+    orders: tuple[float, ...] = ALIKE
+    orders_before: tuple[float, ...] = ALIKE
 
     @classmethod
     def begun(cls, gains: PidGains, dt_s: float, t_s: float) -> "Book":
@@ -160,11 +162,6 @@ class Book:
         """Whether the moves of the setpoint have told the process, and not loads alone."""
         return self.moved >= TOLD
 
-    def odds_of(self, order: int) -> float:
-        """Probability of an order of load, as in ORDERS."""
-        odds = _weights(self.levels)[OF_ORDERS].sum(axis=(1, 2, 3))
-        return float(odds[ORDERS.index(order)])
-
     @lru_cache(maxsize=4)  # noqa: B019  a decision asks for the same ones several times
     def drawn(self, count: int, order: int | None = None) -> LikelyProcesses:
         """Processes that stand for the weights, each as likely as the others, by systematic resampling (Kitagawa 1996).
@@ -181,7 +178,9 @@ class Book:
 
     def to_dict(self) -> dict[str, object]:
         """Plain values."""
-        kept = {name: getattr(self, name) for name in (*NUMBERS, "direction", "faded_s", "records", "leans")}
+        kept = {
+            name: getattr(self, name) for name in (*NUMBERS, *OF_ORDERS, "direction", "faded_s", "records", "leans")
+        }
         arrays = {name: zlib.compress(getattr(self, name)) for name in ("levels", "whole", "prior")}
         return kept | {name: base64.b64encode(packed).decode("ascii") for name, packed in arrays.items()}
 
@@ -200,7 +199,10 @@ class Book:
             raise ValueError(f"{known}, tone of {tone_s} s")
         sign, records, leans = 1 if int(body["direction"]) > 0 else -1, int(body["records"]), int(body["leans"])
         faded_s = process_s, of_tone_s
-        return cls(sign, unit, dt_s, t_s, faded_s, records, leans, moved, before, tone_s, levels, whole, prior)
+        odds = [tuple(float(one) for one in body.get(name, ALIKE)) for name in OF_ORDERS]  # none in an older memory
+        if any(len(one) != len(ORDERS) or not abs(sum(one) - 1.0) < STEP or min(one) < 0.0 for one in odds):
+            raise ValueError(f"a book with odds of orders of load {odds}")
+        return cls(sign, unit, dt_s, t_s, faded_s, records, leans, moved, before, tone_s, levels, whole, prior, *odds)
 
 
 @lru_cache(maxsize=64)
@@ -225,7 +227,7 @@ def _prior(possible: BoolArray, held: BoolArray) -> bytes:
     rare = math.log(RUNAWAYS / (1.0 - RUNAWAYS) * int(np.sum(possible)) / max(int(np.sum(held)), 1))
     kept = np.concatenate([possible, held])
     logs = np.where(np.nonzero(kept)[0] < len(possible), 0.0, rare)
-    of_plane = np.log([1.0 - TONE, TONE, *[1.0] * (PLANES[0] - WEIGHED)])  # the orders are alike
+    of_plane = np.log([1.0 - TONE, TONE, *[1.0] * (PLANES[0] - WEIGHED)])
     return _levels(logs + of_plane[:, None], kept)
 
 
@@ -244,7 +246,7 @@ def update(
     last_s, share, tone_s = float(window.t_s[-1]), 0.0, book.tone_s
     record, known = Prepared.at(window, book.dt_s), faded(book, last_s, hazard_s)
     record = replace(record, resolution=max(record.resolution, MODEL_ERROR * float(np.ptp(record.pv))))
-    levels, moves = known.whole, np.ptp(record.pv) > 0 and np.ptp(record.co) > 0
+    levels, of_orders, moves = known.whole, known.orders_before, np.ptp(record.pv) > 0 and np.ptp(record.co) > 0
     says = moves and len(record.pv) >= FEWEST_SAMPLES and not limited
     if says:
         logs, kept = _logs(levels)
@@ -260,15 +262,25 @@ def update(
             answers = share / T_ANSWERS * log_likelihood_of_answers(record, book.direction, book.unit, kept)[kept]
         by_all = power * alone + OF_ANY * (answers - share * TEMPER / T_SETPOINT * alone)
         found = np.array([power * alone, power * beside, by_all, answers, *(power * one[kept] for one in orders)])
+        of_orders = _odds_of_orders(of_orders, logs[ANSWERS + 1 :], found[ANSWERS + 1 :])
         for one in WHOLE:
             part = np.exp(found[one] - float(np.max(found[one])))
             logs[one] += np.log((1.0 - ODD) * part + ODD * float(np.mean(part)))
         levels = _levels(logs, kept)
     moved = min(known.moved_before + share, 1.0)
     if grows:
-        return replace(book, levels=levels, moved=moved)
+        return replace(book, levels=levels, moved=moved, orders=of_orders)
     entered = replace(known, t_s=last_s, records=book.records + bool(says), tone_s=tone_s)
+    entered = replace(entered, orders=of_orders, orders_before=of_orders)
     return replace(entered, levels=levels, whole=levels, moved=moved, moved_before=moved)
+
+
+def _odds_of_orders(before: tuple[float, ...], logs: FloatArray, found: FloatArray) -> tuple[float, ...]:
+    """Odds of the orders of load with a window. logs, found : of the processes under each, before it and by it."""
+    known = logs - np.logaddexp.reduce(logs, axis=1, keepdims=True)
+    said = np.logaddexp.reduce(known + found, axis=1)
+    odds = before * ((1.0 - ODD) * np.exp(said - float(np.max(said))) + ODD)
+    return tuple((odds / float(odds.sum())).tolist())
 
 
 def _moved_by_setpoint(record: Prepared, setpoint: FloatArray, likeliest: int) -> float:

@@ -11,8 +11,8 @@ share of the way, where the whole is not sure. No more where next to all process
 proved; no less where it would hold them worse. No more integral action for the gain than the rule gives next to every
 process (SIMC: Skogestad 2003), for a load that comes back by itself looks like a process that does.
 How the spectrum of a load falls is assumed, and in closed loop much of what a record says rests on that (Forssell &
-Ljung 1999). So under each order of the walk by itself a shorter integral time must not be shorter than the rule's, and
-by loads alone less action must be as likely better as not.
+Ljung 1999). So by loads alone a change must be as likely better as not under each order of the walk by itself, less
+action under each that the samples do not refute; nor may a shorter integral time be shorter than the rule's there.
 """
 
 import math
@@ -152,8 +152,8 @@ def by_book(book: Book, gains: PidGains, settings: BookSettings) -> ByBook:
     shown = np.minimum(cells.peaks(gains), MS_SHOWN)
     middle, low, most = (quantile(shown, cells.weights, share) for share in (0.5, 0.05, 0.95))
     numbers = BookNumbers(high, room, middle, low, most, float(book.records), book.tone)
-    by_orders = {order: book.drawn(settings.drawn, order) for order in (() if told else ORDERS)}
-    integral_times = [_integral_times(book, one) for one in (drawn, *by_orders.values())]
+    by_orders = [book.drawn(settings.drawn, order) for order in (() if told else ORDERS)]
+    integral_times = [_integral_times(book, one) for one in (drawn, *by_orders)]
     kinds = [MORE_OF_ALL]
     if told:
         kinds += [MORE_GAIN, MORE_INTEGRAL] if high >= settings.less_odds else [MORE_GAIN]
@@ -172,12 +172,12 @@ def by_book(book: Book, gains: PidGains, settings: BookSettings) -> ByBook:
     if best is None or not leans or unproved or (leans != book.leans and not sure):
         return said
     least = settings.bad_share if leans < 0 else 0.0
-    under = [one for order, one in by_orders.items() if book.odds_of(order) >= least]
-    if any(gain(one, gains, best[1], settings)[1] < HALF for one in under):
+    asked = [one for one, odds in zip(by_orders, book.orders, strict=False) if odds >= least]
+    if any(gain(one, gains, best[1], settings)[1] < HALF for one in asked):
         return said
     worth, new, peaks = best
-    asked = ~drawn.runs_away & ((ms <= settings.ms_bad) | (peaks < ms) | (leans < 0))
-    models = tuple(_proved_on(book, drawn, np.where(asked, peaks, np.nan), settings))
+    proved = ~drawn.runs_away & ((ms <= settings.ms_bad) | (peaks < ms) | (leans < 0))
+    models = tuple(_proved_on(book, drawn, np.where(proved, peaks, np.nan), settings))
     numbers, tuning = replace(numbers, book_worth=worth), Tuning("simc", "series", new)
     return replace(said, numbers=numbers, tuning=tuning, models=models)
 
@@ -191,9 +191,11 @@ def shares(drawn: LikelyProcesses, gains: PidGains, settings: BookSettings) -> t
 
 
 def gain(drawn: LikelyProcesses, now: PidGains, new: PidGains, settings: BookSettings) -> tuple[float, float]:
-    """How much less a set is expected to cost than another, ln, and the probability that it costs less."""
-    each = costs(drawn, now, settings.cost)[0] - costs(drawn, new, settings.cost)[0]
-    return float(drawn.weights @ np.clip(each, -settings.most, settings.most)), float(drawn.weights @ (each > 0.0))
+    """How much less a set is expected to cost than another, ln, and the probability that it does so and is stable."""
+    goes, peaks = costs(drawn, new, settings.cost)
+    each = costs(drawn, now, settings.cost)[0] - goes
+    better = (each > 0.0) & np.isfinite(peaks)
+    return float(drawn.weights @ np.clip(each, -settings.most, settings.most)), float(drawn.weights @ better)
 
 
 def worth_of(
