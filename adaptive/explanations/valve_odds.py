@@ -156,7 +156,12 @@ class _Compared:
         for k, through in sorted(pairs, key=lambda at: -float(each[at[0]][at[1]].max()))[:SEARCHED]:
             dead = int(FREE_DEAD_TIMES[int(np.argmax(each[k][through]))])
             tried.append((FREE_LAGS[k], 0.0, delayed(responses(row, FREE_LAGS[k])[through], dead)))
-        most = max(shocks_that_pay(self.record, lag, load, late, by)[1] for lag, by, late in tried for load in JUMPING)
+        price = FITTED_NUMBERS / 2.0 * math.log(len(row))
+        most = max(
+            shocks_that_pay(self.record, lag, load, late, by)[1] - price * (at < len(fitted))
+            for at, (lag, by, late) in enumerate(tried)
+            for load in JUMPING
+        )
         return told + float(np.logaddexp(0.0, (most - T_SETPOINT * told) / TEMPER)) - math.log(2.0)
 
 
@@ -176,7 +181,9 @@ def _compared(record: Prepared, direction: int, tone: ToneColumns, fitted: Proce
         lag, second, dead = lags_of(fitted, record)
         through = through_lag(record.co, second)
         by_fit = _weighed(record, direction, tone, through[None], lag, loads, (dead,), first_only=True)
-        free, own = max(free, float(by_fit.max())), [(lag, second, delayed(responses(through, lag)[0], dead))]
+        price = FITTED_NUMBERS / 2.0 * math.log(len(record.pv))
+        free = max(free, float(by_fit.max()) - price / TEMPER)
+        own = [(lag, second, delayed(responses(through, lag)[0], dead))]
     said, likeliest, beside = [], [], []
     for valves, (which, rows) in zip(KINDS, moved, strict=True):
         screened = _screened(record, direction, tone, rows, loads[:SCREENED]).max(axis=0)
@@ -231,6 +238,7 @@ def lags_of(fitted: ProcessModel, record: Prepared) -> tuple[float, float, float
 
 
 LEAST_LAG = 0.02  # samples; a shorter one is none
+FITTED_NUMBERS = 3.0  # of a process that was fitted: each costs half of the logarithm of the samples (Schwarz 1978)
 
 
 def through_lag(rows: FloatArray, lag: float) -> FloatArray:
