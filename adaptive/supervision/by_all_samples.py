@@ -229,7 +229,8 @@ def objection(found: Findings, own: Outcome, seen: AllSamples) -> Outcome | None
     sure = not (shown and (look is None or _rests(found, look))) or better < 1.0 - settings.less_odds
     worse = tells and sure and (better < settings.borne_out if less else by_models + worth < 0.0)
     steps = (away or worse or not seen_so) and _likelier_by_steps(found, book)
-    if not seen_so and not steps and (doubt := _doubt(found, own, proof, seen, less=less)):
+    borne_out = not seen.by_loads or (tells and better >= settings.borne_out)
+    if not seen_so and not steps and (doubt := _doubt(found, own, proof, seen, less=less, borne_out=bool(borne_out))):
         return found.unconfirmed(own, replace(doubt, reason=f"{told.words}; {doubt.reason}"))
     bad = tells and not (less or shown) and shares(drawn, new, settings)[0] >= settings.less_odds
     if not (bad or ((away or worse) and not (steps and (less or found.clear)))):
@@ -241,10 +242,13 @@ def objection(found: Findings, own: Outcome, seen: AllSamples) -> Outcome | None
     return replace(own, code="unconfirmed", reason=reason, proof=None, basis=None, prediction=None)
 
 
-def _doubt(found: Findings, own: Outcome, proof: Proof, seen: AllSamples, *, less: bool) -> Diagnosis | None:
+def _doubt(
+    found: Findings, own: Outcome, proof: Proof, seen: AllSamples, *, less: bool, borne_out: bool
+) -> Diagnosis | None:
     """Why a change does not stand whose cause the book does not see; None where it does: the whole diagnosis must name
-    the tuning, and no valve be likelier. That is not enough by loads alone, nor for a cut of both gains: the diagnosis
-    knows no load that wanders, and a process that swings by itself explains such a load to the noise.
+    the tuning, and no valve be likelier. That is not enough by loads alone where the change is not better on most of
+    the book (borne_out), nor for a cut of both gains: the diagnosis knows no load that wanders, and a process that
+    swings by itself explains such a load to the noise.
     """
     record, learned, new, now = found.record, found.learned, proof.gains, found.record.in_force
     if record.crossed or found.joined:  # not of this region, or not of one response
@@ -252,7 +256,7 @@ def _doubt(found: Findings, own: Outcome, proof: Proof, seen: AllSamples, *, les
     if learned and found.in_use and exempt_from_confirmation(found, proof, learned, found.in_use):
         return None
     cut = less and new is not None and abs(new.kp) <= abs(now.kp) and abs(new.ki) <= abs(now.ki)
-    if (cut or seen.by_loads) and learned is not None and not (found.clear or is_known(found, learned)):
+    if (cut or not borne_out) and learned is not None and not (found.clear or is_known(found, learned)):
         return Diagnosis(Cause.UNKNOWN, HALF, {}, NOT_SHOWN)
     if (doubt := doubt_of(found, own.diagnosis)) is not None:
         return doubt

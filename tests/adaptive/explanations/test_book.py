@@ -692,19 +692,25 @@ def test_the_book_does_not_speak_where_the_output_stood_at_a_limit_before_its_lo
 
 
 @pytest.mark.parametrize(
-    ("to", "moved", "known", "exempt", "doubted"),
+    ("to", "borne_out", "known", "exempt", "doubted"),
     [
-        ((0.5, 0.7), 1.0, False, False, True),
-        ((0.5, 1.2), 1.0, False, False, False),  # no cut: it has more integral action
-        ((0.5, 1.2), 0.0, False, False, True),
-        ((0.5, 0.7), 0.0, True, False, False),
-        ((1.5, 1.5), 1.0, False, False, False),
-        ((1.5, 1.5), 0.0, False, False, True),
-        ((0.5, 0.7), 0.0, False, True, False),
+        ((0.5, 0.7), True, False, False, True),
+        ((0.5, 1.2), True, False, False, False),  # no cut: it has more integral action
+        ((0.5, 1.2), False, False, False, True),
+        ((0.5, 0.7), False, True, False, False),
+        ((1.5, 1.5), True, False, False, False),
+        ((1.5, 1.5), False, False, False, True),
+        ((0.5, 0.7), False, False, True, False),
     ],
 )
 def test_a_change_that_the_book_does_not_see_needs_a_clear_response(
-    monkeypatch: pytest.MonkeyPatch, to: tuple[float, float], moved: float, *, known: bool, exempt: bool, doubted: bool
+    monkeypatch: pytest.MonkeyPatch,
+    to: tuple[float, float],
+    *,
+    borne_out: bool,
+    known: bool,
+    exempt: bool,
+    doubted: bool,
 ) -> None:
     """The whole diagnosis knows no load that wanders: what it confirms is not enough."""
     monkeypatch.setattr(by_all_samples, "exempt_from_confirmation", lambda *_: exempt)
@@ -715,8 +721,8 @@ def test_a_change_that_the_book_does_not_see_needs_a_clear_response(
     question: Any = SimpleNamespace(record=record, look=None)
     found = Findings(question, learned=cast("Any", SimpleNamespace()), in_use=cast("Any", SimpleNamespace()))
     proof: Any = SimpleNamespace(gains=PidGains(to[0] * now.kp, to[1] * now.ki))
-    seen = AllSamples(book=replace(begun(now), moved=moved))
-    doubt = by_all_samples._doubt(found, Outcome("accepted", ""), proof, seen, less=to[0] < 1.0)
+    seen = AllSamples(book=begun(now))
+    doubt = by_all_samples._doubt(found, Outcome("accepted", ""), proof, seen, less=to[0] < 1.0, borne_out=borne_out)
     assert (doubt is not None) is doubted
     assert doubt is None or doubt.reason == by_all_samples.NOT_SHOWN
 
