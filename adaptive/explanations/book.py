@@ -279,7 +279,8 @@ def _odds_of_orders(before: tuple[float, ...], logs: FloatArray, found: FloatArr
     """Odds of the orders of load with a window. logs, found : of the processes under each, before it and by it."""
     known = logs - np.logaddexp.reduce(logs, axis=1, keepdims=True)
     said = np.logaddexp.reduce(known + found, axis=1)
-    odds = before * ((1.0 - ODD) * np.exp(said - float(np.max(said))) + ODD)
+    told = (1.0 - ODD) * np.exp(said - float(np.max(said))) + ODD
+    odds = np.maximum(before, WEIGHT_AT[DEEPEST - 1]) * told  # none is lost for good, as no process is
     return tuple((odds / float(odds.sum())).tolist())
 
 

@@ -293,8 +293,9 @@ def test_an_answer_beside_a_load_of_any_spectrum_tells_the_process_and_nothing_o
     assert books[1].tone == pytest.approx(books[0].tone, rel=0.2)
 
 
-def test_no_window_makes_a_process_impossible() -> None:
-    book = update(begun(), recorded(GOOD, 7))
+def test_no_window_makes_a_process_or_an_order_of_load_impossible() -> None:
+    book = update(replace(begun(), orders_before=(1.0, 0.0, 0.0)), recorded(GOOD, 7))
+    assert min(book.orders) > 0
     possible = begun().weights() > 0
     weights = book.weights()[possible]
     assert weights.min() > 0
