@@ -237,8 +237,8 @@ def update(
     """Take in a window of all samples since the last one. A window shorter than the interval of the book says nothing.
 
     hazard_s : mean time after which the process is another one. grows : the window will come again, with more samples.
-    limited : its output stands at a limit, so it says nothing: a swing between limits shows one frequency, again and
-    again, which a process that runs away explains as well as the loop's own.
+    limited : it swings between the output's limits, so it says nothing: that is one frequency, again and again, which
+    a process that runs away explains as well as the loop's own.
     """
     n = max(round(book.dt_s / window.sample_time_s), 1)
     if len(window.t_s) < n:

@@ -122,8 +122,17 @@ def look_of(
         *earlier, last = earlier
     grows = last[-1] is rows[-1] and len(last) < ROUNDED * most
     limited = sum(1 for sample in rows if sample.limited) / len(rows)
-    windows = tuple(Window.of(part) for part in earlier)
-    return Look(book, Window.of(last), grows=grows, limited=limited, due=due, earlier=windows)
+    windows, swings = tuple(Window.of(part) for part in earlier), tuple(map(_between_limits, (*earlier, last)))
+    return Look(book, Window.of(last), grows=grows, limited=limited, due=due, earlier=windows, swings=swings)
+
+
+def _between_limits(part: Sequence[LoopSample]) -> bool:
+    """Whether the output goes from limit to limit; one that a setpoint step and the step back drive there does not."""
+    sides = [sample.limited for sample in part if sample.limited]
+    return sum(one != other for one, other in itertools.pairwise(sides)) >= TURNS
+
+
+TURNS = 3  # from one limit to the other, of a swing between them; a step out and back makes two
 
 
 FEWEST_SAMPLES, FEWEST_SAMPLES_ON_TRIAL = 300, 50  # samples of a look
@@ -183,9 +192,9 @@ def all_samples(found: Findings, own: Outcome) -> AllSamples:
         windows = (*look.earlier, look.window)
         book = (look.book or Book.begun(gains, interval_s(gains, dt_s), float(windows[0].t_s[0]))).under(gains)
         book = doubted(book, settings.changed_odds) if changed else book
-        for window in windows:
-            grows, limited = look.grows and window is look.window, look.limited > MOST_LIMITED
-            book = update(book, window, hazard_s=settings.hazard_s, grows=grows, limited=limited)
+        for window, swings in zip(windows, look.swings or (False,) * len(windows), strict=True):
+            grows = look.grows and window is look.window
+            book = update(book, window, hazard_s=settings.hazard_s, grows=grows, limited=swings)
     external = own.diagnosis is not None and own.diagnosis.cause is Cause.EXTERNAL  # else a swing of the loop's own
     if book is not None and (external or (found.foreign is not None and found.foreign < record.foreign)):
         book = heard(book, MOST[Cause.EXTERNAL], tone=external)
@@ -204,10 +213,10 @@ def objection(found: Findings, own: Outcome, seen: AllSamples) -> Outcome | None
     no harm by models and book together, which weigh the same: loads may be steps, or one may wander. Its cause is room,
     or, where a setpoint step is among the samples, that they bear this change itself. Where a loop whose
     process was shown mostly rests, no load wanders, and the book must be sure. It must hold half a whole window, or
-    know the process by its setpoint, but not where less action comes from a model that is not identifiable. Where the
-    output stands at a limit it objects to nothing but less action on a process that runs away. A clear response whose
-    fit is likelier than every process of the book is of one between the points of its grid, or of what the process has
-    become by now.
+    know the process by its setpoint, with the output between its limits, but not where less action comes from a model
+    that is not identifiable. In a swing between limits it objects only where the process runs away. A clear response
+    whose fit is likelier than every process of the book is of one between the points of its grid, or of what the
+    process has become by now.
     """
     settings, book, told, proof = found.settings.book, seen.book, seen.told, own.proof
     record, look, shown = found.record, seen.look, seen.shown
@@ -216,12 +225,12 @@ def objection(found: Findings, own: Outcome, seen: AllSamples) -> Outcome | None
     now, new, numbers, drawn = record.in_force, proof.gains, own.numbers, book.drawn(settings.drawn)
     less = abs(new.kp) < NEARLY * abs(now.kp) or abs(new.ki) < NEARLY * abs(now.ki)
     away = less and lets_go(drawn, now, new, settings)
-    limited = look is not None and look.limited > MOST_LIMITED
-    if (found.growth is not None or limited) and not away:
+    if (found.growth is not None or (look is not None and any(look.swings[-1:]))) and not away:
         return None
     half = look is not None and float(np.ptp(look.window.t_s)) >= LOOK * book.dt_s
     open_model = less and look and found.in_use and not found.in_use.identifiable
-    tells = away or book.records or half or book.told_by_setpoint or open_model
+    followed = book.told_by_setpoint and not (look and look.limited > MOST_LIMITED)
+    tells = away or book.records or half or followed or open_model
     more = told.numbers.book_room >= settings.more_odds or (not seen.by_loads and bears(drawn, now, new, settings))
     seen_so = seen.silent or (told.numbers.book_high >= HALF if less else more)
     worth, better = gain(drawn, now, new, settings)

@@ -131,7 +131,8 @@ class Look(NamedTuple):
     """All samples of a region that are to be entered into its book. book : as it is, None to begin one.
 
     grows : the window comes again with more samples. limited : share of them with the output at a limit. due : else
-    it is looked at only before a change. earlier : whole windows before it that are not in the book yet.
+    it is looked at only before a change. earlier : whole windows before it that are not in the book yet. swings :
+    which of these windows swing between the output's limits, the last one's at the end; none for none.
     """
 
     book: Book | None
@@ -140,6 +141,7 @@ class Look(NamedTuple):
     limited: float
     due: bool = True
     earlier: tuple[Window, ...] = ()
+    swings: tuple[bool, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -315,6 +315,17 @@ def test_what_stands_still_says_nothing() -> None:
     assert update(book, still).records == 0
 
 
+@pytest.mark.parametrize(
+    ("sides", "swings"), [([0, 0], False), ([1, 0, -1, 0, -1, 0, 1], False), ([1, 0, -1, 1, 0, 0, -1], True)]
+)
+def test_a_swing_between_limits_tells_a_book_nothing(sides: list[int], *, swings: bool) -> None:
+    """A setpoint step that drives the output to a limit, and the step back, are no swing."""
+    part = [LoopSample(float(i), 50.0, 50.0, 40.0, limited=side) for i, side in enumerate(sides)]
+    assert by_all_samples._between_limits(part) is swings
+    book = update(begun(), recorded(GOOD, 3), limited=swings)
+    assert (book.records, book.levels == begun().levels) == (int(not swings), swings)
+
+
 def test_what_is_known_fades() -> None:
     book = after(GOOD, 10)
     assert faded(book, 0.0, SETTINGS.hazard_s).whole == book.whole
