@@ -239,7 +239,7 @@ def restore(memory: Mapping[str, Any], settings: RetunerSettings) -> Retuner:
         (looked_s,) = _numbers_in(memory.get("looked_s", ("-inf",)))
         counted = int(memory["decisions"]), int(memory["samples_observed"])
         retuner.resume(RetunerState(finder, *counted, led, float(looked_s)))
-    except (KeyError, TypeError, AttributeError) as error:
+    except (KeyError, TypeError, AttributeError, OverflowError) as error:
         raise ValueError(f"the memory is damaged: {error!r}") from error
     return retuner
 

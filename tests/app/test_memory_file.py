@@ -167,6 +167,7 @@ def forged(change: Callable[[dict[str, Any]], None]) -> Callable[[Path], None]:
         (forged(lambda d: d["memory"].update(version=3)), "memory version 3 is not"),
         (forged(lambda d: d.update(about="0")), "it belongs to another configuration"),
         (forged(lambda d: d["memory"].pop("trials")), "the memory is damaged"),
+        (forged(lambda d: d["memory"].update(rounding=10**400)), "the memory is damaged"),
         (forged(lambda d: d.pop("memory")), "it is damaged"),
         (lambda folder: (folder / LEDGER).write_bytes(b"no ledger"), "ledger.sqlite"),
     ],
