@@ -232,13 +232,13 @@ def _prior(possible: BoolArray, held: BoolArray) -> bytes:
 
 
 def update(
-    book: Book, window: Window, *, hazard_s: float = math.inf, grows: bool = False, limited: bool = False
+    book: Book, window: Window, *, hazard_s: float = math.inf, grows: bool = False, swings: bool = False
 ) -> Book:
     """Take in a window of all samples since the last one. A window shorter than the interval of the book says nothing.
 
     hazard_s : mean time after which the process is another one. grows : the window will come again, with more samples.
-    limited : it swings between the output's limits, so it says nothing: that is one frequency, again and again, which
-    a process that runs away explains as well as the loop's own.
+    swings : it goes from limit to limit of the output, so it says nothing: that is one frequency, again and again,
+    which a process that runs away explains as well as the loop's own.
     """
     n = max(round(book.dt_s / window.sample_time_s), 1)
     if len(window.t_s) < n:
@@ -247,7 +247,7 @@ def update(
     record, known = Prepared.at(window, book.dt_s), faded(book, last_s, hazard_s)
     record = replace(record, resolution=max(record.resolution, MODEL_ERROR * float(np.ptp(record.pv))))
     levels, of_orders, moves = known.whole, known.orders_before, np.ptp(record.pv) > 0 and np.ptp(record.co) > 0
-    says = moves and len(record.pv) >= FEWEST_SAMPLES and not limited
+    says = moves and len(record.pv) >= FEWEST_SAMPLES and not swings
     if says:
         logs, kept = _logs(levels)
         setpoint = block_means(window.sp, n)

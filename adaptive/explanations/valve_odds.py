@@ -143,11 +143,13 @@ class _Compared:
             found = np.array([self.jumping(*one) for one in zip(rows, found.tolist(), strict=True)])
         return found - self.free
 
-    def jumping(self, row: FloatArray, told: float, fitted: Sequence[tuple[float, float, FloatArray]] = ()) -> float:
+    def jumping(
+        self, row: FloatArray, told: float, fitted: Sequence[tuple[float, float, FloatArray, float]] = ()
+    ) -> float:
         """Tempered log-likelihood of an input where in one half of cases the load jumps or turns corners besides.
 
-        told : where it only wanders. fitted : first and second lag, and what a process by a fit makes of the input: a
-        walk that leaves jumps over is likeliest behind another one. Jumps are loads, and count as those do.
+        told : where it only wanders. fitted : first and second lag, what a process by a fit makes of the input, and the
+        price of its numbers: a walk that leaves jumps over is likeliest behind another one. Jumps count as loads do.
         """
         given = self.record, self.direction, self.tone, row[None]
         each = [_weighed(*given, lag, self.loads, FREE_DEAD_TIMES)[:, :, 0].max(axis=0) for lag in FREE_LAGS]
@@ -155,11 +157,10 @@ class _Compared:
         tried = list(fitted)
         for k, through in sorted(pairs, key=lambda at: -float(each[at[0]][at[1]].max()))[:SEARCHED]:
             dead = int(FREE_DEAD_TIMES[int(np.argmax(each[k][through]))])
-            tried.append((FREE_LAGS[k], 0.0, delayed(responses(row, FREE_LAGS[k])[through], dead)))
-        price = FITTED_NUMBERS / 2.0 * math.log(len(row))
+            tried.append((FREE_LAGS[k], 0.0, delayed(responses(row, FREE_LAGS[k])[through], dead), 0.0))
         most = max(
-            shocks_that_pay(self.record, lag, load, late, by)[1] - price * (at < len(fitted))
-            for at, (lag, by, late) in enumerate(tried)
+            shocks_that_pay(self.record, lag, load, late, by)[1] - cost
+            for lag, by, late, cost in tried
             for load in JUMPING
         )
         return told + float(np.logaddexp(0.0, (most - T_SETPOINT * told) / TEMPER)) - math.log(2.0)
@@ -183,7 +184,7 @@ def _compared(record: Prepared, direction: int, tone: ToneColumns, fitted: Proce
         by_fit = _weighed(record, direction, tone, through[None], lag, loads, (dead,), first_only=True)
         price = FITTED_NUMBERS / 2.0 * math.log(len(record.pv))
         free = max(free, float(by_fit.max()) - price / TEMPER)
-        own = [(lag, second, delayed(responses(through, lag)[0], dead))]
+        own = [(lag, second, delayed(responses(through, lag)[0], dead), price)]
     said, likeliest, beside = [], [], []
     for valves, (which, rows) in zip(KINDS, moved, strict=True):
         screened = _screened(record, direction, tone, rows, loads[:SCREENED]).max(axis=0)

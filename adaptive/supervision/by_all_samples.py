@@ -194,7 +194,7 @@ def all_samples(found: Findings, own: Outcome) -> AllSamples:
         book = doubted(book, settings.changed_odds) if changed else book
         for window, swings in zip(windows, look.swings or (False,) * len(windows), strict=True):
             grows = look.grows and window is look.window
-            book = update(book, window, hazard_s=settings.hazard_s, grows=grows, limited=swings)
+            book = update(book, window, hazard_s=settings.hazard_s, grows=grows, swings=swings)
     external = own.diagnosis is not None and own.diagnosis.cause is Cause.EXTERNAL  # else a swing of the loop's own
     if book is not None and (external or (found.foreign is not None and found.foreign < record.foreign)):
         book = heard(book, MOST[Cause.EXTERNAL], tone=external)

@@ -322,7 +322,7 @@ def test_a_swing_between_limits_tells_a_book_nothing(sides: list[int], *, swings
     """A setpoint step that drives the output to a limit, and the step back, are no swing."""
     part = [LoopSample(float(i), 50.0, 50.0, 40.0, limited=side) for i, side in enumerate(sides)]
     assert by_all_samples._between_limits(part) is swings
-    book = update(begun(), recorded(GOOD, 3), limited=swings)
+    book = update(begun(), recorded(GOOD, 3), swings=swings)
     assert (book.records, book.levels == begun().levels) == (int(not swings), swings)
 
 
