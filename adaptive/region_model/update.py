@@ -161,9 +161,10 @@ class TrackerSettings:
         "0..0.1",
     )
     drift_lasts: float = setting(20.0, "Records for which a drift goes on, in the mean", "2..1000 records")
-    # operating point and structure are never quite the same; with 0.12 a gain that doubles at once passes the gate
+    # operating point and structure are never quite the same; with 0.12 a gain that doubles at once passes the gate. A
+    # record that went over a whole axis has 1.4 (on_the_way)
     scatter: float = setting(
-        0.06, "How much they differ between records within a region, one standard deviation", "0..0.2"
+        0.06, "How much they differ between records within a region, one standard deviation", "0..1.5"
     )
     # what no structure explains of a real record passes 3.09 now and then; a gain that has doubled lies far beyond 4.5
     gate: float = setting(4.5, "Innovation above which a record contradicts, as a one-sided normal deviate", "2..6")

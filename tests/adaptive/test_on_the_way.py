@@ -22,7 +22,7 @@ def learned(agreement: Agreement) -> Learned:
     return Learned(model, UNTOLD, agreement, 0.0)
 
 
-@pytest.mark.parametrize("share", [0.0, 0.03, 0.07, 0.1])
+@pytest.mark.parametrize("share", [0.0, 0.03, 0.1, 0.3, 1.0])
 def test_records_scatter_by_the_curves_prior_between_the_ends_of_the_way(share: float) -> None:
     assert on_the_way(SETTINGS, share).scatter == pytest.approx(math.hypot(0.06, 1.4 * share))
     assert on_the_way(SETTINGS, share).gate == SETTINGS.gate
