@@ -293,7 +293,7 @@ def update_across(crossing: Crossing, shown: FittedCrossing, region: int, known:
         reason = f"the model leaves {beyond:.1f} times the noise (limit {limit.remainder_limit:g})"
     elif not is_known:
         factor, needed = factors_text(2 * unsure, 2 * limit.gain_std_limit)
-        reason = f"Response crossed a region boundary: Kc uncertain by {factor}x (limit {needed}x). Not used."
+        reason = f"Response crossed a region boundary: by itself Kc uncertain by {factor}x (limit {needed}x)"
     samples = len(crossing.window.t_s)
     alternatives = [_alternative(log, one, samples) for log, one in zip(logs, shown.found, strict=True)]
     estimate = replace(
@@ -362,6 +362,9 @@ def _filtered(
             innovation = statistic if innovation is None else innovation
             mean = back_to_mean(mean, there, posterior)
         after.append(mean)
+    # A structure that such a record cannot show leads on only where it is known well enough for settings
+    dt_s, limit = crossing.window.sample_time_s, crossing.fit.gain_std_limit
+    after.sort(key=lambda k: k.log.type not in has and k.log.gain_uncertainty(dt_s) > limit)
     return (0.0, ()) if innovation is None else (innovation, after)
 
 

@@ -6,8 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from retuner.adaptive.fit.structure import parameters_of
+from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.identify import Fits, FitSettings
 from retuner.adaptive.identification.structure_choice import ON_LINE
+from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.region_model.boundary_crossing import (
     Crossing,
     FittedCrossing,
@@ -16,7 +19,7 @@ from retuner.adaptive.region_model.boundary_crossing import (
     taught_beside,
     update_across,
 )
-from retuner.adaptive.region_model.region_model import RegionModel
+from retuner.adaptive.region_model.region_model import RegionModel, StructureModel
 from retuner.adaptive.region_model.update import Agreement, TrackerSettings
 from retuner.adaptive.schedule_design.record_stretches import CurveAxis
 from retuner.adaptive.signals.sample import FloatArray, Window
@@ -138,6 +141,21 @@ def test_a_second_one_agrees_and_makes_it_surer(record: Window, shown: FittedCro
     learned = update_across(again, fitted_crossing(again), 1, first)
     assert learned.agreement is Agreement.AGREES
     assert learned.region_model.records == 2
+
+
+@pytest.mark.parametrize(("std", "leads"), [(0.3, ProcessType.FOPDT), (0.05, ProcessType.TOPDT)])
+def test_a_structure_that_it_cannot_show_leads_on_only_where_it_is_known(
+    record: Window, shown: FittedCrossing, std: float, leads: ProcessType
+) -> None:
+    first = update_across(crossing(record), shown, 1, None).region_model
+    assert first is not None
+    third = parameters_of(ProcessModel(ProcessType.TOPDT, steep(50.0), 20.0, 15.0, 3.0, tau3_s=5.0))
+    led = StructureModel(LogModel(third, std**2 * np.eye(5), 1, ProcessType.TOPDT), -500.0)
+    odd = replace(first, known=(led, *first.known))
+    learned = update_across(crossing(record, {1: odd}), shown, 1, odd)
+    assert learned.agreement is Agreement.AGREES
+    assert learned.region_model.log.type is leads
+    assert learned.region_model.identifiable
     assert learned.region_model.log.gain_uncertainty() < first.log.gain_uncertainty()
 
 
