@@ -127,27 +127,25 @@ def record_condition(
 
 def condition_of(traits: Traits, *, oscillates: bool = False) -> RecordCondition:
     """The condition that these traits make; oscillates : see record_condition."""
-    condition = _condition(traits)
+    # The first that applies, the most fundamental first.
+    if traits.dead_pv:
+        condition = Condition.DEAD_PV
+    elif traits.dead_co:
+        condition = Condition.DEAD_CO
+    elif traits.still - traits.at_limit > STILL_SHARE:
+        condition = Condition.MANUAL
+    elif not traits.pv_moves and traits.sp_moving < MOVING_SHARE:
+        if not (traits.co_moves and (traits.asks() or traits.escapes())):
+            condition = Condition.QUIET
+        else:
+            condition = Condition.NO_RESPONSE if traits.offset > BESIDE or traits.asks() else Condition.NORMAL
+    elif traits.offset > OFFSET_RATIO and traits.at_limit < STILL_SHARE:
+        condition = Condition.NO_RESPONSE if traits.co_moves and traits.runs() else Condition.NOT_CONTROLLING
+    else:
+        condition = Condition.MOVING_SETPOINT if traits.sp_moving > MOVING_SHARE else Condition.NORMAL
     if oscillates and condition in {Condition.QUIET, Condition.NO_RESPONSE}:
         condition = Condition.NORMAL
     return RecordCondition(condition, traits.still, traits.sp_moving, traits.offset)
-
-
-def _condition(traits: Traits) -> Condition:
-    """The first that applies, the most fundamental first."""
-    if traits.dead_pv:
-        return Condition.DEAD_PV
-    if traits.dead_co:
-        return Condition.DEAD_CO
-    if traits.still - traits.at_limit > STILL_SHARE:
-        return Condition.MANUAL
-    if not traits.pv_moves and traits.sp_moving < MOVING_SHARE:
-        if not (traits.co_moves and (traits.asks() or traits.escapes())):
-            return Condition.QUIET
-        return Condition.NO_RESPONSE if traits.offset > BESIDE or traits.asks() else Condition.NORMAL
-    if traits.offset > OFFSET_RATIO and traits.at_limit < STILL_SHARE:
-        return Condition.NO_RESPONSE if traits.co_moves and traits.runs() else Condition.NOT_CONTROLLING
-    return Condition.MOVING_SETPOINT if traits.sp_moving > MOVING_SHARE else Condition.NORMAL
 
 
 def asks(window: Window) -> bool:

@@ -158,7 +158,14 @@ class CanOpenAccess:
         if cob in self._pdos:
             return self._from_pdo(bytes(message.data), self._pdos[cob])
         if cob == HEARTBEAT + node and message.data:
-            return self._on_state(message.data[0] & 0x7F)
+            state = message.data[0] & 0x7F
+            if state == BOOTED:
+                return (Alive(), Started())
+            if state == PRE_OPERATIONAL and self._settings.start:
+                self._queue.append(_frame(NMT, bytes([START, self._file.node])))
+            if state == STOPPED:
+                return (Alive(), Stopped("the node was stopped (NMT)", "nmt"))
+            return (Alive(), NoFault("nmt")) if state == OPERATIONAL else (Alive(),)
         if cob == EMERGENCY + node and len(message.data) == 8:
             # An emergency object; error code 0 says that it is over
             data = bytes(message.data)
@@ -198,15 +205,6 @@ class CanOpenAccess:
         if expected:
             return (NoFault(watch.source),)
         return (Stopped(watch.states.reason or f"object {text_of(variable)} = {int(value):#x}", watch.source),)
-
-    def _on_state(self, state: int) -> Sequence[Told]:
-        if state == BOOTED:
-            return (Alive(), Started())
-        if state == PRE_OPERATIONAL and self._settings.start:
-            self._queue.append(_frame(NMT, bytes([START, self._file.node])))
-        if state == STOPPED:
-            return (Alive(), Stopped("the node was stopped (NMT)", "nmt"))
-        return (Alive(), NoFault("nmt")) if state == OPERATIONAL else (Alive(),)
 
     @property
     def takes_setpoint(self) -> bool:

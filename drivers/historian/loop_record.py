@@ -238,7 +238,14 @@ def _forms(tables: Sequence[RawTable], form: RecordForm) -> list[tuple[RawTable,
             if name in table.names:
                 columns[role] = name
             elif name in files:
-                columns[role] = _only_signal(table, form)
+                named_ones = set(form.columns.values())
+                free = [name for name in table.names if name not in named_ones and named(name).role not in BESIDE]
+                free = [name for name in free if named(name).role == "value"] or free
+                if len(free) != 1:
+                    raise RecordingError(
+                        f"{table.source}: holds {_listed(table.names)}; name its column as in --columns pv=NAME"
+                    )
+                columns[role] = free[0]
         found.append((table, replace(form, columns=columns)))
     return found
 
@@ -250,15 +257,6 @@ def _to_be_named(tables: Sequence[RawTable], role: str) -> str:
         return f"there is {there}; name it as in --columns {role}=NAME"
     files = _listed(Path(table.source).stem for table in tables)
     return f"there is {there} in the files {files}; name a column or a file as in --columns {role}=NAME"
-
-
-def _only_signal(table: RawTable, form: RecordForm) -> str:
-    named_ones = set(form.columns.values())
-    free = [name for name in table.names if name not in named_ones and named(name).role not in BESIDE]
-    free = [name for name in free if named(name).role == "value"] or free
-    if len(free) != 1:
-        raise RecordingError(f"{table.source}: holds {_listed(table.names)}; name its column as in --columns pv=NAME")
-    return free[0]
 
 
 def traffic_names(path: Path, form: RecordForm) -> list[str]:

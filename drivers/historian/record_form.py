@@ -85,23 +85,7 @@ class RecordForm:
         self._one_of("time_unit", self.time_unit, tuple(TIME_UNITS))
         self._one_of("decimal", self.decimal, DECIMALS)
         self._one_of("delimiter", self.delimiter, tuple(DELIMITERS))
-        self._known_elsewhere()
-
-    def called(self, name: str) -> str:
-        """A signal's name as it is understood: by `signals`, by its last word in `words`, else as it stands."""
-        if name in self.signals:
-            return self.signals[name]
-        parts = [part for part in SEPARATED.split(name) if part] if self.words else []
-        role = {word.lower(): role for word, role in self.words.items()}.get(parts[-1].lower()) if parts else None
-        return f"{name[: name.rindex(parts[-1])].rstrip(SEPARATORS)}.{role.upper()}".lstrip(".") if role else name
-
-    @staticmethod
-    def _one_of(name: str, value: str, known: tuple[str, ...]) -> None:
-        if value and value not in known:
-            raise ValueError(f"{name} = {value!r}: give one of {', '.join(map(repr, known))}")
-
-    def _known_elsewhere(self) -> None:
-        """Refuse what Python's own tables do not know."""
+        # Refuse what Python's own tables do not know.
         if self.header is not None and self.header < 0:
             raise ValueError(f"header = {self.header}: lines are counted from 1; 0 stands for none")
         try:
@@ -115,6 +99,19 @@ class RecordForm:
                 ZoneInfo(self.zone)
         except (KeyError, ValueError, OSError):
             raise ValueError(f"zone = {self.zone!r}: not known; give a name as Europe/Berlin") from None
+
+    def called(self, name: str) -> str:
+        """A signal's name as it is understood: by `signals`, by its last word in `words`, else as it stands."""
+        if name in self.signals:
+            return self.signals[name]
+        parts = [part for part in SEPARATED.split(name) if part] if self.words else []
+        role = {word.lower(): role for word, role in self.words.items()}.get(parts[-1].lower()) if parts else None
+        return f"{name[: name.rindex(parts[-1])].rstrip(SEPARATORS)}.{role.upper()}".lstrip(".") if role else name
+
+    @staticmethod
+    def _one_of(name: str, value: str, known: tuple[str, ...]) -> None:
+        if value and value not in known:
+            raise ValueError(f"{name} = {value!r}: give one of {', '.join(map(repr, known))}")
 
 
 def form_from_toml(path: Path) -> RecordForm:

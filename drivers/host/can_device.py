@@ -169,7 +169,22 @@ class CanDevice:
     def _take(self, frame: frames.DeviceFrame, now_s: float) -> None:
         match frame:
             case frames.TelemetryPv() | frames.TelemetrySp():
-                self._on_telemetry(frame, now_s)
+                # Half a sample; a sequence number that is not the known one means that somebody else has written.
+                if self.machine.phase is ConnectPhase.CONNECTED:
+                    before = self._joiner.contradictions
+                    joined = self._joiner.take(frame)
+                    if self._joiner.contradictions > before:
+                        self._belief.contradicted()
+                    if joined is not None:
+                        self._sample_s = now_s
+                        self._events += [SamplesLost(joined.lost, joined.sample.t_s)] if joined.lost else []
+                        self._events += [*self._joiner.tap.news(), joined.sample]
+                        running = self._belief.running
+                        if running is not None and joined.sample.revision != running.seq and not self._reads:
+                            self._belief.doubt()
+                        proven = self.probation.sample(joined.sample.revision)
+                        if proven is not None:
+                            self.commands.confirm(proven)
             case frames.Heartbeat() | frames.Status():
                 self._on_life_sign(frame)
             case frames.Identity():
@@ -229,26 +244,6 @@ class CanDevice:
     def _reads(self) -> bool:
         """Whether a write is asking what runs already."""
         return self.write.phase is WritePhase.READING
-
-    def _on_telemetry(self, half: frames.TelemetryPv | frames.TelemetrySp, now_s: float) -> None:
-        """Half a sample; a sequence number that is not the known one means that somebody else has written."""
-        if self.machine.phase is not ConnectPhase.CONNECTED:
-            return
-        before = self._joiner.contradictions
-        joined = self._joiner.take(half)
-        if self._joiner.contradictions > before:
-            self._belief.contradicted()
-        if joined is None:
-            return
-        self._sample_s = now_s
-        self._events += [SamplesLost(joined.lost, joined.sample.t_s)] if joined.lost else []
-        self._events += [*self._joiner.tap.news(), joined.sample]
-        running = self._belief.running
-        if running is not None and joined.sample.revision != running.seq and not self._reads:
-            self._belief.doubt()
-        proven = self.probation.sample(joined.sample.revision)
-        if proven is not None:
-            self.commands.confirm(proven)
 
     def _on_identity(self, identity: frames.Identity, now_s: float) -> None:
         """Who is there: go on only with the right one, at the first connection and after every restart."""

@@ -102,23 +102,22 @@ class BoilerPlant:
             self._passed = start + flow * h
             self._marks.append(self._passed)
             self._temps.append(self._tank)
-            arriving = self._leaving((start + self._passed) / 2 - settings.pipe_s)
+            # Temperature of the water that left the tank at a mark; before the first one the first temperature.
+            mark = (start + self._passed) / 2 - settings.pipe_s
+            i = bisect_right(self._marks, mark)
+            if i == 0:
+                arriving = self._temps[0]
+            elif i == len(self._marks):
+                arriving = self._temps[-1]
+            else:
+                w = (mark - self._marks[i - 1]) / (self._marks[i] - self._marks[i - 1])
+                arriving = (1.0 - w) * self._temps[i - 1] + w * self._temps[i]
             self._sensor = arriving + (self._sensor - arriving) * held
         if len(self._marks) > HISTORY_TRIM:
             used = max(bisect_right(self._marks, self._passed - self.settings.pipe_s) - 2, 0)
             del self._marks[:used], self._temps[:used]  # the water that has passed the sensor
         self._aux = 100.0 * flow + self._flow_noise()
         return self._sensor + self._noise()
-
-    def _leaving(self, mark: float) -> float:
-        """Temperature of the water that left the tank at a mark; before the first one the first temperature."""
-        i = bisect_right(self._marks, mark)
-        if i == 0:
-            return self._temps[0]
-        if i == len(self._marks):
-            return self._temps[-1]
-        w = (mark - self._marks[i - 1]) / (self._marks[i] - self._marks[i - 1])
-        return (1.0 - w) * self._temps[i - 1] + w * self._temps[i]
 
     def steady_co(self, pv: float, load: float = 0.0) -> float:
         """Output in percent that holds pv: see plant.Plant."""

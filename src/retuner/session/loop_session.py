@@ -204,7 +204,13 @@ class LoopSession:
             self._end(now_s)
         self.writer.begin_due_write(now_s)
         if self.machine.phase in TO_END:
-            self._close(now_s)
+            # The end is reached when nothing is open; or the waiting time is over, and what is left open is said.
+            nothing_open, turned = not self.writer.open and not self._bumped, self.retuner.turned
+            if nothing_open and not turned and not self.writer.restoring:
+                self.machine.take(SessionInput.CLOSED)
+            elif now_s >= self._ends_at_s or (nothing_open and turned):
+                self.machine.take(SessionInput.TURNED if turned else SessionInput.IMPATIENT)
+                self.tell_what_is_open()
         return samples
 
     def link_faults(self, news: Iterable[FaultNews]) -> None:
@@ -359,15 +365,6 @@ class LoopSession:
         if home is not None:
             self._bump_told(home, now_s)
         self._abort(TrialEvent.STOPPED)  # what is decided while the end waits is no exception
-
-    def _close(self, now_s: float) -> None:
-        """The end is reached when nothing is open; or the waiting time is over, and what is left open is said."""
-        nothing_open, turned = not self.writer.open and not self._bumped, self.retuner.turned
-        if nothing_open and not turned and not self.writer.restoring:
-            self.machine.take(SessionInput.CLOSED)
-        elif now_s >= self._ends_at_s or (nothing_open and turned):
-            self.machine.take(SessionInput.TURNED if turned else SessionInput.IMPATIENT)
-            self.tell_what_is_open()
 
     def tell_what_is_open(self) -> None:
         """Record that the session ends without knowing that the verified set runs, if it is so."""

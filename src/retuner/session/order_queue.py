@@ -315,15 +315,14 @@ class OrderDesk:
         if decision is None:
             return {}, f"no proposal {digest[:SHORT]} in this session"
         if Proposal.of(decision) is not None:
-            return {"region": decision.region, "tried": False}, self._too_late(digest)
+            # Why a proposal cannot be rejected any more, empty when it can: it was approved, and its gains are written.
+            number = self._taken_up.get(digest)
+            back = f"to roll it back, order a revert of decision {number}"
+            return {"region": decision.region, "tried": False}, (
+                "" if number is None else f"it was approved before, and written with decision {number}; {back}"
+            )
         reason = self._not_at(decision.region, TrialPhase.WAITING) or self._not_tried(decision)
         return {"region": decision.region, "tried": True}, reason
-
-    def _too_late(self, digest: str) -> str:
-        """Why a proposal cannot be rejected any more, empty when it can: it was approved, and its gains are written."""
-        number = self._taken_up.get(digest)
-        back = f"to roll it back, order a revert of decision {number}"
-        return "" if number is None else f"it was approved before, and written with decision {number}; {back}"
 
     def _superseded(self, proposal: Proposal) -> str:
         """Why a proposal may not be taken up any more, empty unless this session has made a newer one of its region."""
