@@ -113,22 +113,16 @@ def held_to_models(rows: list[Row], step: Path | None) -> list[str]:
             ms = [f"{value:.2f}" for value in row.ms] + ["no setpoint step"] * (2 - len(row.ms))
             lines.append(f"| {Path(row.file).stem} | {by} | {' | '.join(ms[:2])} |")
     if step is not None:
-        own, plain = of_step(step)
+        columns = np.genfromtxt(step, delimiter=",", names=True)
+        t, pv, co = (np.asarray(columns[name], dtype=np.float64) for name in ("t", "pv", "co"))
+        found = api.identify(t, np.full_like(t, pv[0]), pv, co, open_loop=True)
+        if found.settings is None:
+            raise ValueError(f"{step}: {found.estimate.reason}")
+        gains, delay = found.settings.tuning.gains, float(np.median(np.diff(t))) / 2
+        models = found.estimate.log.model(), plain_step(t, pv, co)
+        own, plain = (sensitivity_peak(model.seen_by_controller(2 * delay).linear(), gains) for model in models)
         lines.append(f"| {step.parent.name}, open loop | identify | {own:.2f} | {plain:.2f} |")
     return [*lines, "", "For the other records no settings are given.", ""]
-
-
-def of_step(path: Path) -> tuple[float, float]:
-    """Ms of the settings from an open-loop step, on identification's model and on the plain fit."""
-    columns = np.genfromtxt(path, delimiter=",", names=True)
-    t, pv, co = (np.asarray(columns[name], dtype=np.float64) for name in ("t", "pv", "co"))
-    found = api.identify(t, np.full_like(t, pv[0]), pv, co, open_loop=True)
-    if found.settings is None:
-        raise ValueError(f"{path}: {found.estimate.reason}")
-    gains, delay = found.settings.tuning.gains, float(np.median(np.diff(t))) / 2
-    models = found.estimate.log.model(), plain_step(t, pv, co)
-    own, plain = (sensitivity_peak(model.seen_by_controller(2 * delay).linear(), gains) for model in models)
-    return own, plain
 
 
 def page(rows: list[Row], eyes: dict[str, dict[str, str]], step: Path | None) -> str:

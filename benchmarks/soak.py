@@ -81,11 +81,6 @@ class Loop:
         self.kinds[kind] += 1
         self.ledger.append(kind, body, t_s)
 
-    def step_setpoint(self) -> None:
-        """To and fro."""
-        self.high = not self.high
-        self.session.device.send_setpoint(60.0 if self.high else 50.0, self.clock.now_s())
-
     def change_process(self) -> None:
         """Another process from now on, at rest where the old one is."""
         self.plant = LinearPlant(self._process(), start_pv=self.plant.pv, noise=0.1, seed=self.rng.randrange(1 << 30))
@@ -172,7 +167,8 @@ def _happens(loops: list[Loop], t_s: float) -> None:
     """Steps and changes, the loops one after the other so that they do not all move at once."""
     for i, loop in enumerate(loops):
         if (t_s - i * SAMPLE_S) % STEP_EVERY_S == 0:
-            loop.step_setpoint()
+            loop.high = not loop.high
+            loop.session.device.send_setpoint(60.0 if loop.high else 50.0, loop.clock.now_s())
         if (t_s - i * SAMPLE_S) % CHANGE_EVERY_S == 0:
             loop.change_process()
 

@@ -72,7 +72,21 @@ class Bus:
                 way.inbox.append(message)
             else:
                 self.faults += 1
-                self._hurt(way, message)
+                rng = self._rng
+                fault = rng.choices(FAULTS, self.weather.weights)[0]
+                if fault is not Fault.LOSS:
+                    if fault is Fault.DELAY:
+                        self._delay(way, message)
+                    elif fault is Fault.REORDERING:
+                        way.inbox.insert(rng.randrange(len(way.inbox) + 1), message)
+                    else:
+                        if fault is Fault.DUPLICATION:
+                            self._delay(way, message)
+                        elif fault is Fault.REPLAY:
+                            self._delay(way, rng.choice(self.history))
+                        else:
+                            message = damaged(rng, fault, message)
+                        way.inbox.append(message)
 
     def deliver(self, sender: str, message: can.Message) -> None:
         """The same, and nothing happens to it on the way: one thing is wrong with it already, and must stay so."""
@@ -86,26 +100,6 @@ class Bus:
             for _, _, message in sorted(way.late, key=lambda entry: entry[:2]):
                 way.inbox.append(message)
             way.late.clear()
-
-    def _hurt(self, way: Way, message: can.Message) -> None:
-        """Something happens to a frame."""
-        rng = self._rng
-        fault = rng.choices(FAULTS, self.weather.weights)[0]
-        if fault is Fault.LOSS:
-            return
-        if fault is Fault.DELAY:
-            self._delay(way, message)
-            return
-        if fault is Fault.REORDERING:
-            way.inbox.insert(rng.randrange(len(way.inbox) + 1), message)
-            return
-        if fault is Fault.DUPLICATION:
-            self._delay(way, message)
-        elif fault is Fault.REPLAY:
-            self._delay(way, rng.choice(self.history))
-        else:
-            message = damaged(rng, fault, message)
-        way.inbox.append(message)
 
     def _delay(self, way: Way, message: can.Message) -> None:
         """Let a frame arrive later."""

@@ -257,7 +257,17 @@ class Campaign:
             digest.update(path.read_bytes())
         self._key = f"{digest.hexdigest()[:16]} {steps} {device}"
         if state is not None and state.exists():
-            self._load(json.loads(state.read_text(encoding="utf-8")))
+            kept = json.loads(state.read_text(encoding="utf-8"))
+            self.before = list(kept.get("before", ()))
+            if kept.get("key") != self._key:
+                told = {name: kept[name] for name in ("key", "done", "counts", "broken")}
+                self.before.append({**told, "done": [min(told["done"], default=0), max(told["done"], default=-1)]})
+            self.first = max([self.first, *(one["done"][1] + 1 for one in self.before)])
+            if kept.get("key") == self._key:
+                self.done = set(kept["done"])
+                self.counts = Counter(kept["counts"])
+                self.broken = {int(seed): why for seed, why in kept["broken"].items()}
+                self.busy_s = kept["busy_s"]
 
     def run(self, processes: int) -> Iterator[Outcome]:
         """Run what is not done yet; outcomes as they come."""
@@ -305,17 +315,3 @@ class Campaign:
         fresh = self._state.with_suffix(".new")
         fresh.write_text(json.dumps(whole), encoding="utf-8")
         fresh.replace(self._state)
-
-    def _load(self, kept: dict[str, object]) -> None:
-        """Go on from what was kept, if it is of this very code; else behind its seeds."""
-        self.before = list(kept.get("before", ()))
-        if kept.get("key") != self._key:
-            told = {name: kept[name] for name in ("key", "done", "counts", "broken")}
-            self.before.append({**told, "done": [min(told["done"], default=0), max(told["done"], default=-1)]})
-        self.first = max([self.first, *(one["done"][1] + 1 for one in self.before)])
-        if kept.get("key") != self._key:
-            return
-        self.done = set(kept["done"])
-        self.counts = Counter(kept["counts"])
-        self.broken = {int(seed): why for seed, why in kept["broken"].items()}
-        self.busy_s = kept["busy_s"]

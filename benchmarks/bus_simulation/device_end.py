@@ -158,34 +158,30 @@ class DeviceEnd:
             self._way.take()
             return
         for message in self._way.take():
-            self._take(message)
+            pages = self.device.pages
+            if message.arbitration_id & COMMAND == COMMIT and len(message.data) == 8:
+                self._holder[int.from_bytes(message.data[:2], "little")] = self.device.lease.owner
+            self.fuse -= 1
+            latest, slots = pages.latest, list(pages.slots)
+            self._door.coming(message)
+            replies = self.device.receive(message)
+            self._door.came(message, replies)
+            if self._twin is not None:
+                self._twin.receive(message, replies)
+            if (pages.latest - latest) % SEQUENCES > LEAP:
+                self.truth.driven = True
+            if pages.running is not self._running:
+                raise ViolationError(f"running_set_is_a_committed_one: {pages.running} began between samples")
+            if pages.confirmed is not self._confirmed:
+                self._confirmed = pages.confirmed
+                self.truth.confirmed.add((pages.confirmed.seq, pages.confirmed.gains))
+            written = next((i for i, slot in enumerate(pages.slots) if slot != slots[i]), None)
+            if written is not None and self._rng.random() < TORN:
+                self.crash(written)
+            else:
+                self._send(replies)
             if self.down:
                 return
-
-    def _take(self, message: can.Message) -> None:
-        """One frame, and its answers, a crash perhaps between them."""
-        pages = self.device.pages
-        if message.arbitration_id & COMMAND == COMMIT and len(message.data) == 8:
-            self._holder[int.from_bytes(message.data[:2], "little")] = self.device.lease.owner
-        self.fuse -= 1
-        latest, slots = pages.latest, list(pages.slots)
-        self._door.coming(message)
-        replies = self.device.receive(message)
-        self._door.came(message, replies)
-        if self._twin is not None:
-            self._twin.receive(message, replies)
-        if (pages.latest - latest) % SEQUENCES > LEAP:
-            self.truth.driven = True
-        if pages.running is not self._running:
-            raise ViolationError(f"running_set_is_a_committed_one: {pages.running} began between samples")
-        if pages.confirmed is not self._confirmed:
-            self._confirmed = pages.confirmed
-            self.truth.confirmed.add((pages.confirmed.seq, pages.confirmed.gains))
-        written = next((i for i, slot in enumerate(pages.slots) if slot != slots[i]), None)
-        if written is not None and self._rng.random() < TORN:
-            self.crash(written)
-            return
-        self._send(replies)
 
     def sample(self) -> None:
         """One controller sample, unless it is off."""
@@ -196,7 +192,28 @@ class DeviceEnd:
         if self._twin is not None:
             self._twin.step(messages, 2.0 * self.slow)
         if self.device.pages.running is not self._running:
-            self._changed()
+            device, truth = self.device, self.truth
+            running, before = device.pages.running, truth.ran[-1]
+            now = Ran(self.bus.step, device.epoch, running.seq, running.gains)
+            self._running = running
+            if running is device.pages.confirmed:
+                truth.counts["reverts"] += 1
+                t.reverted_to_the_confirmed_set(truth, now)
+                truth.began(now)
+            else:
+                truth.counts["swaps"] += 1
+                order = t.running_set_is_a_committed_one(truth, now, self._holder.get(now.seq, 0))
+                t.built_on_what_ran(order, before)
+                t.authentic(truth, order)
+                t.one_owner(order, self._holder.get(now.seq, 0))
+                t.finite_and_inside_the_box(truth, now, before)
+                t.sequence_is_monotonic(truth, now)
+                t.failed_sets_stay_dead(truth, now)
+                if order.who in truth.ledgers:
+                    t.ledger_has_the_intent(truth.ledgers[order.who], order)
+                else:
+                    truth.counts["sets of the intruder"] += 1
+                truth.began(now)
         self._door.sampled(messages, 2.0 * self.slow)
         self._send(messages)
 
@@ -246,28 +263,3 @@ class DeviceEnd:
         torn = slots[place] = Slot(was.generation, was.content, was.crc ^ 1 << self._rng.randrange(32))
         if self._twin is not None:
             self._twin.device.pages.slots[place] = torn
-
-    def _changed(self) -> None:
-        """Another set runs: swapped in, or the confirmed one come back."""
-        device, truth = self.device, self.truth
-        running, before = device.pages.running, truth.ran[-1]
-        now = Ran(self.bus.step, device.epoch, running.seq, running.gains)
-        self._running = running
-        if running is device.pages.confirmed:
-            truth.counts["reverts"] += 1
-            t.reverted_to_the_confirmed_set(truth, now)
-            truth.began(now)
-            return
-        truth.counts["swaps"] += 1
-        order = t.running_set_is_a_committed_one(truth, now, self._holder.get(now.seq, 0))
-        t.built_on_what_ran(order, before)
-        t.authentic(truth, order)
-        t.one_owner(order, self._holder.get(now.seq, 0))
-        t.finite_and_inside_the_box(truth, now, before)
-        t.sequence_is_monotonic(truth, now)
-        t.failed_sets_stay_dead(truth, now)
-        if order.who in truth.ledgers:
-            t.ledger_has_the_intent(truth.ledgers[order.who], order)
-        else:
-            truth.counts["sets of the intruder"] += 1
-        truth.began(now)

@@ -90,7 +90,14 @@ def _manual(rng: np.random.Generator, group: str, family: str) -> Identification
     length = before + settle * float(rng.uniform(0.8, 1.3)) * (1 if moves == 1 else 0.6 * moves)
     loop, n = _fitted(loop, length)
     at = before / loop.dt_s + np.arange(moves) * (n - before / loop.dt_s) / moves
-    levels = _levels(rng, moves)
+    sign = float(rng.choice([-1.0, 1.0]))
+    if moves == 1:
+        levels = [sign]
+    else:
+        levels = [
+            sign * float(rng.uniform(0.5, 1.0)) * (1 if i % 2 == 0 else float(rng.choice([0.0, -1.0])))
+            for i in range(moves)
+        ]
     co = steps(n, [float(np.floor(x)) for x in at], np.diff([0.0, *levels]).tolist())
     co *= loop.room * log_uniform(rng, 0.05, 0.8)
     clean = run_manual(process, loop.dt_s, co, Upsets(np.zeros(n)))
@@ -102,17 +109,6 @@ def _manual(rng: np.random.Generator, group: str, family: str) -> Identification
     record = run_manual(process, loop.dt_s, loop.co0 + co, upsets, pv0=pv0)
     note = {"drift": float(np.any(out))}
     return _case(loop, group, record, None, loop.low, loop.high, noise, note)
-
-
-def _levels(rng: np.random.Generator, moves: int) -> list[float]:
-    """Levels of the output from rest: to one side, back, to the other side, ..."""
-    sign = float(rng.choice([-1.0, 1.0]))
-    if moves == 1:
-        return [sign]
-    return [
-        sign * float(rng.uniform(0.5, 1.0)) * (1 if i % 2 == 0 else float(rng.choice([0.0, -1.0])))
-        for i in range(moves)
-    ]
 
 
 def _manual_drift(rng: np.random.Generator, n: int) -> FloatArray:

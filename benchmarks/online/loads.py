@@ -54,15 +54,6 @@ CALM = 0.05
 PERIODS = 6
 
 
-def bumping(percent: float, watching: Watching, period_s: float) -> LoopBumps:
-    """Bumps the setpoint when half a period has shown nothing; percent 0 : never."""
-    allowed = {"allowed": True, "percent": percent} if percent else {}
-    wanted = BumpSettings(
-        **allowed, after_h=period_s / 2 / 3600, most_per_day=100, most=PERIODS, announce_s=0.0, longest_s=period_s
-    )
-    return LoopBumps(wanted, watching.retuner)
-
-
 def period(watched: WatchedLoop, bumps: LoopBumps, watching: Watching, load: list[float], noise: list[float]) -> None:
     """One period; where bumps are allowed, a sample at a time at the setpoint that was last sent."""
     if not bumps.planner.settings.allowed:
@@ -86,7 +77,12 @@ def run(task: Task) -> Row:
     n = int(LENGTH_THETA * SAMPLES_PER_THETA * max(1.0, 1 / kc))
     load = load_of(task.kind, rng, n, loop.theta_s / loop.dt_s) * judge.load_like_setpoint()
     session = Session(task, judge, scaled(loop.best, kc, tau_i))
-    bumps = bumping(task.bumps, session.watching, n * loop.dt_s)
+    period_s = n * loop.dt_s
+    allowed = {"allowed": True, "percent": task.bumps} if task.bumps else {}
+    wanted = BumpSettings(
+        **allowed, after_h=period_s / 2 / 3600, most_per_day=100, most=PERIODS, announce_s=0.0, longest_s=period_s
+    )
+    bumps = LoopBumps(wanted, session.watching.retuner)
 
     def upsets() -> Iterator[Judge]:
         session.loop.run(0.0, 0.0, noise_of(rng, REST_SAMPLES))

@@ -71,7 +71,13 @@ def collect(
                 if shown and (text := shown(row)):
                     sys.stdout.write(text + "\n")
                     sys.stdout.flush()
-                _progress(done, len(left), time.monotonic() - begun)
+                of = len(left)
+                seconds = time.monotonic() - begun
+                if sys.stderr.isatty():
+                    sys.stderr.write(f"\r{done} of {of}, {seconds:.0f} s" + ("\n" if done == of else ""))
+                    sys.stderr.flush()
+                elif done * REPORTS // of > (done - 1) * REPORTS // of:
+                    sys.stderr.write(f"{done} of {of}, {seconds:.0f} s\n")
         except KeyboardInterrupt:
             sys.stderr.write(f"\nstopped after {len(rows)} of {len(tasks)}\n")
             return rows, False
@@ -99,11 +105,3 @@ def _infinite(value: Any) -> Any:  # noqa: ANN401  whatever a row may hold
     if isinstance(value, dict):
         return {key: _infinite(x) for key, x in value.items()}
     return [_infinite(x) for x in value] if isinstance(value, list) else value
-
-
-def _progress(done: int, of: int, seconds: float) -> None:
-    if sys.stderr.isatty():
-        sys.stderr.write(f"\r{done} of {of}, {seconds:.0f} s" + ("\n" if done == of else ""))
-        sys.stderr.flush()
-    elif done * REPORTS // of > (done - 1) * REPORTS // of:
-        sys.stderr.write(f"{done} of {of}, {seconds:.0f} s\n")

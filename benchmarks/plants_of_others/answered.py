@@ -94,16 +94,11 @@ class Answered:
     def _searched(self) -> PidGains:
         found = []
         for tau_i in self.theta_s * np.geomspace(SHORTEST, LONGEST, RESETS):
-            gains = self._held_to(float(tau_i))
+            size = float(np.interp(self._w180(), self._w, np.abs(self._g)))
+            for kc in np.geomspace(2.0, 0.01, 200) / size:
+                gains = PidGains(self._sign * float(kc), self._sign * float(kc) / float(tau_i), 0.0)
+                if self.ms(gains) <= MS_BEST:
+                    break
             found.append((gains, *(self.iae(gains, setpoint=which) for which in (True, False))))
         least = [min(row[i] for row in found) for i in (1, 2)]
         return min(found, key=lambda row: row[1] / least[0] + row[2] / least[1])[0]
-
-    def _held_to(self, tau_i: float) -> PidGains:
-        """With that integral time, the largest kc with Ms up to MS_BEST."""
-        size = float(np.interp(self._w180(), self._w, np.abs(self._g)))
-        for kc in np.geomspace(2.0, 0.01, 200) / size:
-            gains = PidGains(self._sign * float(kc), self._sign * float(kc) / tau_i, 0.0)
-            if self.ms(gains) <= MS_BEST:
-                break
-        return gains

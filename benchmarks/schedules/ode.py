@@ -51,10 +51,6 @@ class Equations:
     def linear(self, y: float, w: float) -> LinearProcess:
         """The linearisation at rest there."""
         x0, u0 = self.rest(y, w)
-        a, b, c = self._differences(x0, u0, w)
-        return transfer(a, b, c, self.theta(y, w))
-
-    def _differences(self, x0: list[float], u0: float, w: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         n = len(x0)
         a, b, c = np.zeros((n, n)), np.zeros(n), np.zeros(n)
         for j in range(n + 1):
@@ -73,7 +69,7 @@ class Equations:
                 a[:, j], c[j] = column, (ends[0][1] - ends[1][1]) / (2 * step)
             else:
                 b = column
-        return a, b, c
+        return transfer(a, b, c, self.theta(y, w))
 
 
 @lru_cache(maxsize=4096)

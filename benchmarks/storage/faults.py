@@ -166,7 +166,13 @@ def disk(rows: int = 20_000) -> dict[str, object]:
         tried["missing folder"] = _refused(folder / "none", "does not exist", wrong)
         (folder / "file").write_text("x")
         tried["a file for a folder"] = _refused(folder / "file", "", wrong)
-        tried["two writers"] = _two(folder, wrong)
+        with Ledger(folder / "ledger.sqlite") as ledger:
+            first = ledger.append("k", {}, 0.0)
+            told = _refused(folder, "another run writes this ledger", wrong)
+            second = ledger.append("k", {}, 1.0)
+        promised = Promised({1: first.hash, 2: second.hash})
+        wrong += broken_without_table(folder, promised)
+        tried["two writers"] = told
     return {"part": "disk", "tried": tried, "wrong": wrong}
 
 
@@ -213,17 +219,6 @@ def _refused(folder: Path, told: str, wrong: list[str]) -> str:
     if done.returncode != 3 or len(done.stderr.splitlines()) != 1 or told not in done.stderr or done.stdout:
         wrong.append(f"{folder}: status {done.returncode}: {done.stdout}{done.stderr}")
     return done.stderr.strip().replace(str(folder), "")
-
-
-def _two(folder: Path, wrong: list[str]) -> str:
-    """Of two writers one is refused, and the other goes on."""
-    with Ledger(folder / "ledger.sqlite") as ledger:
-        first = ledger.append("k", {}, 0.0)
-        told = _refused(folder, "another run writes this ledger", wrong)
-        second = ledger.append("k", {}, 1.0)
-    promised = Promised({1: first.hash, 2: second.hash})
-    wrong += broken_without_table(folder, promised)
-    return told
 
 
 def broken_without_table(folder: Path, promised: Promised) -> Iterator[str]:

@@ -96,11 +96,11 @@ def test_what_lies_beyond_the_way_is_known_less(shown: FittedCrossing) -> None:
 R = math.log(30.0)
 
 
-def behind_a_valve(low: float, high: float, seconds: int = 900) -> Window:
-    """A tank behind an equal-percentage valve: 12 dh/dt = 10 e^(R (u / 100 - 1)) - sqrt(h), 10 s late; noise 0.05."""
+@pytest.mark.parametrize(("low", "high"), [(26.0, 46.0), (73.0, 50.0)])
+def test_a_curve_of_the_valve_is_not_taken_for_lags_and_bends(low: float, high: float) -> None:
     rng, theta, opened = np.random.default_rng(5), 10, lambda h: 100.0 + 100.0 * math.log(math.sqrt(h) / 10) / R
     h, integral, past, rows = low, opened(low), [opened(low)] * theta, []
-    for t in range(seconds):
+    for t in range(900):
         sp, pv = high if t >= AT_REST else low, h + 0.05 * rng.standard_normal()
         integral += 0.012 * (sp - pv)
         co = integral + 1.0 * (sp - pv)
@@ -109,12 +109,7 @@ def behind_a_valve(low: float, high: float, seconds: int = 900) -> Window:
         u = past.pop(0)
         for _ in range(4):
             h += 0.25 * (10.0 * math.exp(R * (u / 100 - 1)) - math.sqrt(h)) / 12
-    return Window(*(np.array(column) for column in zip(*rows, strict=True)))
-
-
-@pytest.mark.parametrize(("low", "high"), [(26.0, 46.0), (73.0, 50.0)])
-def test_a_curve_of_the_valve_is_not_taken_for_lags_and_bends(low: float, high: float) -> None:
-    window = behind_a_valve(low, high)
+    window = Window(*(np.array(column) for column in zip(*rows, strict=True)))
     found = in_motion(window, window.pv, CurveAxis(8.0, 90.0), Fits(window, (1,), FIT).estimate())[0]
     for level in (low, high):
         here = found.at(level).model()

@@ -25,9 +25,8 @@ def test_loads_alone_leave_more_room_below_the_limit_and_beyond_it() -> None:
     assert by_loads[0].cost - by_loads[1].cost < sure[0].cost - sure[1].cost
 
 
-def loads_alone(seed: int) -> Window:
-    """PI on five equal lags of 1 s, a load step: no dead time can be told from the load's own time."""
-    rng, dt, n = np.random.default_rng(seed), 0.6, 76
+def test_a_dead_time_at_its_least_is_not_known_to_a_few_percent() -> None:
+    rng, dt, n = np.random.default_rng(3), 0.6, 76
     x, integral = np.zeros(5), 0.0
     pv, co = np.zeros(n), np.zeros(n)
     for i in range(n):
@@ -36,11 +35,7 @@ def loads_alone(seed: int) -> Window:
         co[i] = -0.5 * pv[i] + integral
         for _ in range(60):
             x = x + dt / 60 * (np.concatenate([[co[i] + (i >= 25)], x[:-1]]) - x)
-    return Window(dt * np.arange(float(n)), np.zeros(n), pv, co)
-
-
-def test_a_dead_time_at_its_least_is_not_known_to_a_few_percent() -> None:
-    alternatives = identify_window(loads_alone(3), sign=1).alternatives
+    alternatives = identify_window(Window(dt * np.arange(float(n)), np.zeros(n), pv, co), sign=1).alternatives
     third = next(a.log for a in alternatives if a.log.type is ProcessType.TOPDT)
     assert math.exp(third.x[THETA]) < 0.1
     assert math.sqrt(float(third.p[THETA, THETA])) > 1.0

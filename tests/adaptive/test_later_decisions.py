@@ -41,11 +41,7 @@ def travelled(value: object) -> object:
 def asked(bench: Bench, sp: float = 1.0) -> Asked:
     """The first question after a setpoint step from rest, answered elsewhere."""
     assert [d for d in map(bench.retuner.observe, bench.samples(400, 0.0, 0.0, 10.0)) if d] == []
-    return next_question(bench, bench.samples(900, sp, 0.0, 10.0))
-
-
-def next_question(bench: Bench, samples: Iterator[LoopSample]) -> Asked:
-    """The next question, answered elsewhere; until then nothing is decided."""
+    samples = bench.samples(900, sp, 0.0, 10.0)
     for sample in samples:
         step = bench.retuner.step(sample)
         assert step.decision is None

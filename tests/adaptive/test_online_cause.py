@@ -233,19 +233,15 @@ class Rig:
             decision = self.retuner.observe(sample)
             if decision is not None:
                 found.append(decision)
-                self._obey(decision, sp, pv)
+                if not (decision.action not in {Action.WRITE, Action.RESTORE} or decision.gains_after is None):
+                    new = law(decision.gains_after, co_min=self.limits[0], co_max=self.limits[1])
+                    self.state, self.rules = change(self.rules, new, self.state, sp, pv, 1.0), new
+                    self.revision += 1
+                    if decision.action == Action.WRITE:
+                        self.retuner.committed(0, decision.gains_after)
+                    else:
+                        self.retuner.restored()
         return found
-
-    def _obey(self, decision: Decision, sp: float, pv: float) -> None:
-        if decision.action not in {Action.WRITE, Action.RESTORE} or decision.gains_after is None:
-            return
-        new = law(decision.gains_after, co_min=self.limits[0], co_max=self.limits[1])
-        self.state, self.rules = change(self.rules, new, self.state, sp, pv, 1.0), new
-        self.revision += 1
-        if decision.action == Action.WRITE:
-            self.retuner.committed(0, decision.gains_after)
-        else:
-            self.retuner.restored()
 
 
 @pytest.mark.slow

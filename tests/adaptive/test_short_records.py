@@ -16,8 +16,9 @@ from retuner.adaptive.valve.slips import ROWS_PER_STEP, _greedy
 from retuner.schedule.gains import PidGains
 
 
-def _short(seed: int) -> tuple[Window, PidGains]:
-    """A loop of a few samples: setpoint steps, loads, noise, a coarse sensor and a valve that sticks, drawn."""
+@pytest.mark.parametrize("seed", [19, 112, 243])
+def test_more_unknowns_than_samples_are_not_asked_for(seed: int) -> None:
+    """These three stopped a tone, a load and the steps of a valve: "more unknowns than samples"."""
     rng = np.random.default_rng([seed, 77])
     n, dt_s = int(rng.integers(8, 90)), float(rng.choice([0.01, 0.1, 1, 60]))
     noise, kp = float(rng.choice([0.0, 1e-3, 0.02, 0.2, 1.0])), float(rng.choice([0.1, 0.5, 1, 3]))
@@ -39,13 +40,7 @@ def _short(seed: int) -> tuple[Window, PidGains]:
         stem = co[i] if abs(co[i] - stem) > band else stem
         u[i] = stem
         x += ((u[i - theta] if i >= theta else 0.0) - x + load[i]) / tau
-    return Window(np.arange(n) * dt_s, sp, pv, co), PidGains(kp, ki, 0.0)
-
-
-@pytest.mark.parametrize("seed", [19, 112, 243])
-def test_more_unknowns_than_samples_are_not_asked_for(seed: int) -> None:
-    """These three stopped a tone, a load and the steps of a valve: "more unknowns than samples"."""
-    found = diagnose_window(*_short(seed)).diagnosis
+    found = diagnose_window(*(Window(np.arange(n) * dt_s, sp, pv, co), PidGains(kp, ki, 0.0))).diagnosis
     assert found.cause in Cause
     assert found.reason
 

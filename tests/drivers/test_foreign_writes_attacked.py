@@ -219,18 +219,13 @@ def test_two_nodes_of_one_number_are_noticed_and_not_written_to() -> None:
     assert set(stage.ran) <= stage.allowed
 
 
-def from_then_on(own: Receive, other: Receive, after: int) -> Receive:
-    """The first node alone, for so many frames; then both."""
-    left = itertools.count(-after)
-    return lambda message: own(message) + (other(message) if next(left) >= 0 else [])
-
-
 @pytest.mark.parametrize("seed", range(sized(5, 6, 40)))
 def test_a_second_node_that_comes_in_the_middle_of_a_write_leaves_a_set_that_was_proved(seed: int) -> None:
     stage, twin = Attacked(seed), Stage()
     twin.run(5)
     own = stage.node.receive
-    stage.node.receive = from_then_on(own, twin.node.receive, stage.draw.randrange(12))
+    left = itertools.count(-stage.draw.randrange(12))
+    stage.node.receive = lambda message: own(message) + (twin.node.receive(message) if next(left) >= 0 else [])
     stage.write(NEW)
     stage.run(20)
     assert set(stage.ran) <= stage.allowed

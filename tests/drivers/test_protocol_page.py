@@ -37,11 +37,6 @@ def device(make: Any, case: dict[str, Any]) -> Any:
     return make(VirtualDeviceSettings(**given, key=key), plant, epoch, lambda: next(nonces))
 
 
-def message_of(line: str) -> can.Message:
-    id_, _, data = line.partition("#")
-    return can.Message(arbitration_id=int(id_, 16), is_extended_id=False, data=bytes.fromhex(data))
-
-
 def state_of(device: Any) -> dict[str, Any]:
     def plain(content: Any) -> list[float]:
         return [content.seq, content.gains.kp, content.gains.ki, content.gains.kd]
@@ -61,7 +56,8 @@ def test_every_vector_is_answered_byte_by_byte(make: Any, case: dict[str, Any]) 
     dev = device(make, case)
     for number, step in enumerate(case["steps"]):
         if "frame" in step:
-            out = dev.receive(message_of(step["frame"]))
+            id_, _, data = step["frame"].partition("#")
+            out = dev.receive(can.Message(arbitration_id=int(id_, 16), is_extended_id=False, data=bytes.fromhex(data)))
         elif "sample" in step:
             out = dev.step()
         else:

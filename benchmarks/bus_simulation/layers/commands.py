@@ -28,7 +28,14 @@ class Leases:
         data, before, after = told.data, told.before, told.after
         owner, samples = u16(data), u16(data[4:])
         ack = Ack(told.replies[0])
-        right = self._reason(data, told)
+        epoch, sample, holder = told.before.epoch, told.before.sample, told.before.owner
+        if u16(data[2:]) not in {stamp(epoch, sample), stamp(epoch, max(sample - STAMP_SAMPLES, 0))}:
+            right = STALE
+        elif holder not in {0, u16(data)}:
+            right = NOT_OWNER
+        else:
+            is_next = data[:2] != self._last[:2] or data == self._last or newer(data[6], self._last[6], 8)
+            right = OK if is_next else STALE
         if (ack.seq, ack.reason, ack.latest) != (owner, right, after.owner):
             raise broken("leases_are_fresh", f"{data.hex()} gets {vars(ack)}, reason {right} is right")
         if right == OK and data != self._last:
@@ -38,16 +45,6 @@ class Leases:
         elif after.owner != before.owner:
             raise broken("leases_are_fresh", f"{after.owner} holds it after {data.hex()}, which counts for nothing")
         unchanged("leases_are_fresh", before, after, "owner", "has_staged")
-
-    def _reason(self, data: bytes, told: Told) -> int:
-        """What the page says about a request."""
-        epoch, sample, holder = told.before.epoch, told.before.sample, told.before.owner
-        if u16(data[2:]) not in {stamp(epoch, sample), stamp(epoch, max(sample - STAMP_SAMPLES, 0))}:
-            return STALE
-        if holder not in {0, u16(data)}:
-            return NOT_OWNER
-        is_next = data[:2] != self._last[:2] or data == self._last or newer(data[6], self._last[6], 8)
-        return OK if is_next else STALE
 
     def sampled(self, before: int, after: int) -> None:
         """A controller sample has passed."""

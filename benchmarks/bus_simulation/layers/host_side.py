@@ -201,26 +201,22 @@ class HostSide:
             return
         self._heard_s = now_s
         if command == ACK:
-            self._answered(self.heard.acks[-1].ack)
+            ack = self.heard.acks[-1].ack
+            if ack.epoch == self._epoch % 8192:
+                if ack.kind == LEASE and ack.seq == self._settings.owner and ack.reason == STALE:
+                    self._counter = None  # it goes on elsewhere on the circle
+                elif ack.kind == LEASE and ack.seq == self._settings.owner:
+                    self._granted, self._granted_s = ack.reason == OK, self._lease_sent_s
+                elif ack.reason == STALE and ack.kind in {ABORT, STAGE, COMMIT}:
+                    self._aborted.clear()  # the device's word on the newest number goes before what was seen
+                    if ack.kind == STAGE and ack.seq in {number for number, _ in self._staged.values()}:
+                        self._used_up.append((ack.epoch, ack.seq))
+                elif ack.reason == NOT_OWNER and ack.kind != LEASE:
+                    self._granted = False
+                elif ack.kind == CONFIRM and ack.reason == OK:
+                    self._on_probation = None
         running = self.heard.proved.get(RUNNING)
         if running is not None and running.seq != self._on_probation:
-            self._on_probation = None
-
-    def _answered(self, ack: Ack) -> None:
-        """What an answer says of the lease, and of a confirmation."""
-        if ack.epoch != self._epoch % 8192:
-            return
-        if ack.kind == LEASE and ack.seq == self._settings.owner and ack.reason == STALE:
-            self._counter = None  # it goes on elsewhere on the circle
-        elif ack.kind == LEASE and ack.seq == self._settings.owner:
-            self._granted, self._granted_s = ack.reason == OK, self._lease_sent_s
-        elif ack.reason == STALE and ack.kind in {ABORT, STAGE, COMMIT}:
-            self._aborted.clear()  # the device's word on the newest number goes before what was seen
-            if ack.kind == STAGE and ack.seq in {number for number, _ in self._staged.values()}:
-                self._used_up.append((ack.epoch, ack.seq))
-        elif ack.reason == NOT_OWNER and ack.kind != LEASE:
-            self._granted = False
-        elif ack.kind == CONFIRM and ack.reason == OK:
             self._on_probation = None
 
     # What it sends
@@ -326,7 +322,18 @@ class HostSide:
         """The client tells its user something."""
         match event:
             case WriteDone() | WriteFailed():
-                self._ended(event)
+                proof = self._read_back(event.running, type(event).__name__)
+                if proof.asked < self._said:
+                    raise broken("what_is_told_was_read_back", f"{event}: asked at {proof.asked}, said at {self._said}")
+                tag = proof.epoch % 8192
+                earlier = (a for place, a in self.heard.acks if place < proof.asked)
+                answers = {(a.kind, a.reason == OK) for a in earlier if (a.epoch, a.seq) == (tag, event.seq)}
+                fenced = {(ABORT, True), (ABORT, False)} & answers
+                if not fenced and (COMMIT, True) not in answers:
+                    raise broken("a_write_ends_fenced_or_acknowledged", f"{event}, answered were {answers} in {proof}")
+                if isinstance(event, WriteDone):
+                    self._done.add(event.seq)
+                    self._on_probation = event.seq
             case DeviceRestarted():
                 self._read_back(event.running, "restart")
                 first = self.heard.beats.get(event.epoch)
@@ -344,21 +351,6 @@ class HostSide:
         if proof is None or (proof.seq, proof.gains) != (running.seq, _three(running.gains)):
             raise broken("what_is_told_was_read_back", f"{what}: {running}, proved is {proof}")
         return proof
-
-    def _ended(self, event: WriteDone | WriteFailed) -> None:
-        """A write is over: by a read-back that was asked for after everything that this host has said about it."""
-        proof = self._read_back(event.running, type(event).__name__)
-        if proof.asked < self._said:
-            raise broken("what_is_told_was_read_back", f"{event}: asked at {proof.asked}, said at {self._said}")
-        tag = proof.epoch % 8192
-        earlier = (a for place, a in self.heard.acks if place < proof.asked)
-        answers = {(a.kind, a.reason == OK) for a in earlier if (a.epoch, a.seq) == (tag, event.seq)}
-        fenced = {(ABORT, True), (ABORT, False)} & answers
-        if not fenced and (COMMIT, True) not in answers:
-            raise broken("a_write_ends_fenced_or_acknowledged", f"{event}, answered were {answers} in {proof}")
-        if isinstance(event, WriteDone):
-            self._done.add(event.seq)
-            self._on_probation = event.seq
 
     def polled(self, now_s: float, *, connected: bool) -> None:
         """The host has taken its turn."""

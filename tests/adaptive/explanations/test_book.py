@@ -498,7 +498,7 @@ def test_the_setpoint_tells_the_process_though_it_moves_where_a_window_would_end
 
 def test_the_windows_of_a_look_are_entered_one_after_the_other() -> None:
     book, first, second = begun(), recorded(GOOD, 5), recorded(GOOD, 6)
-    moved_on = replace_times(second, 1000.0)
+    moved_on = Window(second.t_s + 1000.0, second.sp, second.pv, second.co)
     question = asked_of(book, Look(book, moved_on, grows=False, limited=0.0, earlier=(first,)))
     found = by_all_samples.all_samples(Findings(question), Outcome("unknown", "")).book
     assert found is not None
@@ -507,10 +507,6 @@ def test_the_windows_of_a_look_are_entered_one_after_the_other() -> None:
     for window in (first, moved_on):
         one_by_one = update(one_by_one, window, hazard_s=SETTINGS.hazard_s)
     assert found.levels == one_by_one.levels
-
-
-def replace_times(window: Window, more_s: float) -> Window:
-    return Window(window.t_s + more_s, window.sp, window.pv, window.co)
 
 
 def asked_of(book: Book, look: Look) -> Question:
