@@ -169,7 +169,16 @@ def _waves(
     """
     t, dt = window.t_s, window.sample_time_s
     periods = np.array([t[b] - t[a] for a, b in spans])
-    pv = _peaks_kept(window.pv, median(periods) / dt)
+    # pv is smoothed over so few samples that a sine's peak loses less than half a per cent
+    low, high = (float(x) for x in np.quantile(window.pv, (0.05, 0.95)))
+    most = int(median(periods) / dt / SMOOTHED_SHARE) // 2 * 2 + 1
+    sigma = noise_sigma(window.pv)
+    wanted = (sigma / (NOISE_LEFT * max(high - low, sigma))) ** 2 if sigma else 0.0
+    n = min(int(wanted) // 2 * 2 + 1, most)
+    pv = window.pv
+    if n >= 3:
+        padded = np.concatenate([np.full(n // 2, window.pv[0]), window.pv, np.full(n // 2, window.pv[-1])])
+        pv = np.convolve(padded, np.full(n, 1 / n), mode="valid")
     highs = np.array([float(np.max(pv[a:b])) for a, b in spans])
     lows = np.array([float(np.min(pv[a:b])) for a, b in spans])
     steps = np.abs(np.diff(window.pv))
@@ -191,19 +200,6 @@ def _near_median(values: FloatArray, slack: float) -> np.ndarray[tuple[int], np.
     off = np.abs(values - median(values))
     spread = max(MAD_TO_SIGMA * median(off), 0.01 * median(np.abs(values)))
     return np.asarray(off <= OUTLIER * spread + slack)
-
-
-def _peaks_kept(pv: FloatArray, samples_a_wave: float) -> FloatArray:
-    """pv smoothed over so few samples that a sine's peak loses less than half a per cent, if there is noise at all."""
-    low, high = (float(x) for x in np.quantile(pv, (0.05, 0.95)))
-    most = int(samples_a_wave / SMOOTHED_SHARE) // 2 * 2 + 1
-    sigma = noise_sigma(pv)
-    wanted = (sigma / (NOISE_LEFT * max(high - low, sigma))) ** 2 if sigma else 0.0
-    n = min(int(wanted) // 2 * 2 + 1, most)
-    if n < 3:
-        return pv
-    padded = np.concatenate([np.full(n // 2, pv[0]), pv, np.full(n // 2, pv[-1])])
-    return np.convolve(padded, np.full(n, 1 / n), mode="valid")
 
 
 def _levels(co: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:

@@ -146,7 +146,12 @@ def _stroke(window: Window, holds: list[tuple[int, int]], step: float) -> float 
     small: list[float] = []
     sizes = []
     for (a0, b0), (a, b) in pairwise(holds):
-        half = _half_time(window, (a0, b0), (a, b))
+        old, new = window.pv[a0:b0], window.pv[a:b]
+        start, end = float(np.mean(old[-max(len(old) // 4, 1) :])), float(np.mean(new[-max(len(new) // 4, 1) :]))
+        half = None  # time to half of pv's answer, s, where the answer is clear of what pv did before
+        if abs(end - start) > 4.0 * float(np.std(np.diff(new)) / math.sqrt(2.0) + 1e-12):
+            passed = np.flatnonzero((new - start) / (end - start) > 0.5)
+            half = float(window.t_s[a + passed[0]] - window.t_s[a]) if len(passed) else None
         size = abs(float(window.co[b - 1] - window.co[b0 - 1]))
         if half is not None:
             (large if size > LARGE_MOVE * step else small).append(half)
@@ -155,13 +160,3 @@ def _stroke(window: Window, holds: list[tuple[int, int]], step: float) -> float 
         return None
     later = median(large) - median(small)
     return 2.0 * max(later, window.sample_time_s) * 100.0 / (median(sizes) - step)
-
-
-def _half_time(window: Window, before: tuple[int, int], after: tuple[int, int]) -> float | None:
-    """Time from a move of co to half of pv's answer, s; None where the answer is not clear of what pv did before."""
-    old, new = window.pv[slice(*before)], window.pv[slice(*after)]
-    start, end = float(np.mean(old[-max(len(old) // 4, 1) :])), float(np.mean(new[-max(len(new) // 4, 1) :]))
-    if not abs(end - start) > 4.0 * float(np.std(np.diff(new)) / math.sqrt(2.0) + 1e-12):
-        return None
-    passed = np.flatnonzero((new - start) / (end - start) > 0.5)
-    return float(window.t_s[after[0] + passed[0]] - window.t_s[after[0]]) if len(passed) else None

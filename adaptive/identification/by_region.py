@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
 from retuner.adaptive.fit.record import Record
 from retuner.adaptive.identification.estimate import ModelEstimate
@@ -52,7 +51,13 @@ def by_region(window: Window, by: FloatArray, bounds: Sequence[float]) -> tuple[
         below = int(np.searchsorted(edges, value + margin, side="right"))
         now = max(now, above) if above > now else min(now, below)
         at.append(now)
-    clipped = _clipped(window.pv)
+    # where pv stands at its largest or smallest value, as a sensor does at an end of its range
+    clipped = np.zeros(len(window.pv), dtype=np.bool_)
+    if float(np.mean(np.diff(window.pv) == 0.0)) <= MOVES_ELSEWHERE:  # a coarse signal stands anywhere
+        for end in (float(np.max(window.pv)), float(np.min(window.pv))):
+            runs = np.flatnonzero(np.diff(np.concatenate([[False], window.pv == end, [False]])))
+            for first, after in zip(runs[::2].tolist(), runs[1::2].tolist(), strict=True):
+                clipped[first:after] |= after - first >= STANDS
     cuts = [0, *(np.flatnonzero(np.diff(at).astype(bool) | np.diff(clipped)) + 1).tolist(), len(at)]
     ends = [-math.inf, *edges.tolist(), math.inf]
     stretches: list[list[Window]] = [[] for _ in ends[1:]]
@@ -74,18 +79,6 @@ def identify_region(record: RegionRecord, sign: int | None, settings: FitSetting
         found = identify_window(window, sign, priors, settings)
         sign = found.log.sign
     return found
-
-
-def _clipped(pv: FloatArray) -> npt.NDArray[np.bool_]:
-    """Where pv stands at its largest or smallest value, as a sensor does at an end of its range."""
-    none = np.zeros(len(pv), dtype=np.bool_)
-    if float(np.mean(np.diff(pv) == 0.0)) > MOVES_ELSEWHERE:  # a coarse signal stands anywhere
-        return none
-    for end in (float(np.max(pv)), float(np.min(pv))):
-        runs = np.flatnonzero(np.diff(np.concatenate([[False], pv == end, [False]])))
-        for first, after in zip(runs[::2].tolist(), runs[1::2].tolist(), strict=True):
-            none[first:after] |= after - first >= STANDS
-    return none
 
 
 def _excitation(window: Window) -> float:

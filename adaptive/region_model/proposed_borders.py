@@ -168,7 +168,19 @@ def proposed_borders(
         the controller.
     """
     wanted = DesignLimits()
-    places = _known_places(table, region_models, t_s, sample_time_s, tracker, wanted)
+    sign, regions = table.gains[0].direction, table.regions
+    own = {i: model for i, model in lenders(region_models, sign).items() if model.records >= LEAST_RECORDS}
+    through = curves(own, regions, t_s, tracker)
+    places: dict[int, list[Place]] = {}  # from end to end of every region with records of its own, its middle too
+    if through and len(regions.axes) == 1 and table.lookup is Lookup.HARD:
+        behind = {t: sum(k.evidence for model in own.values() for k in model.known if k.log.type is t) for t in through}
+        type_ = min(behind, key=lambda t: behind[t])
+        for region in own:
+            xs = np.linspace(*regions.span(region), PLACES).tolist()
+            row = [place_by(x, through[type_].log((x,), sign, type_), sample_time_s, wanted) for x in xs]
+            known = [place for place in row if place is not None]
+            if len(known) >= LEAST_KNOWN and row[PLACES // 2] is not None:
+                places[region] = known
     now = {region: best_of(row, wanted) for region, row in places.items()}
     wide = [region for region, row in places.items() if now[region].kept <= TOO_WIDE * len(row)]
     if not wide:
@@ -190,31 +202,6 @@ def proposed_borders(
         return None
     ms = max(sensitivity_peak(p.processes[0], now[region].gains) for region, row in places.items() for p in row)
     return Refinement(best, count, kept, then, ms, _largest_ms(best, places), wanted, told)
-
-
-def _known_places(
-    table: GainTable,
-    region_models: Mapping[int, RegionModel],
-    t_s: float,
-    sample_time_s: float,
-    tracker: TrackerSettings,
-    limits: DesignLimits,
-) -> dict[int, list[Place]]:
-    """Known places from end to end of every region that has records of its own, its middle among them."""
-    sign, regions = table.gains[0].direction, table.regions
-    own = {i: model for i, model in lenders(region_models, sign).items() if model.records >= LEAST_RECORDS}
-    through = curves(own, regions, t_s, tracker)
-    if not through or len(regions.axes) > 1 or table.lookup is not Lookup.HARD:
-        return {}
-    behind = {t: sum(k.evidence for model in own.values() for k in model.known if k.log.type is t) for t in through}
-    type_ = min(behind, key=lambda t: behind[t])
-    found = {}
-    for region in own:
-        xs = np.linspace(*regions.span(region), PLACES).tolist()
-        row = [place_by(x, through[type_].log((x,), sign, type_), sample_time_s, limits) for x in xs]
-        known = [place for place in row if place is not None]
-        found.update({region: known} if len(known) >= LEAST_KNOWN and row[PLACES // 2] is not None else {})
-    return found
 
 
 def _largest_ms(table: GainTable, places: Mapping[int, Sequence[Place]]) -> float:

@@ -81,6 +81,10 @@ class Trial:
 
         Raises KeyError, TypeError, ValueError: something is missing, or no value of its kind.
         """
+        seen = None
+        if body["seen"] is not None:
+            at = {name: math.inf if value is None else float(value) for name, value in body["seen"].items()}
+            seen = DivergenceState(**{name: kind(at[name]) for name, kind in WATCHED.items() if name in at})
         return cls(
             phase=TrialPhase[str(body["phase"]).upper()],
             old=PidGains(*body["old"]) if body["old"] else None,
@@ -96,7 +100,7 @@ class Trial:
             cause=TrialEvent[str(body["cause"]).upper()] if body["cause"] else None,
             back=_back_in(body["back"]),
             earlier=tuple(PidGains(*gains) for gains in body["earlier"]),
-            seen=_seen_in(body["seen"]),
+            seen=seen,
         )
 
 
@@ -109,13 +113,6 @@ def _back_in(body: Mapping[str, Any] | None) -> Rollback | None:
         return None
     numbers = RollbackNumbers(**body["numbers"]) if body["numbers"] else None
     return Rollback(PidGains(*body["gains"]), bool(body["stays"]), str(body["reason"]), numbers)
-
-
-def _seen_in(body: Mapping[str, Any] | None) -> DivergenceState | None:
-    if body is None:
-        return None
-    at = {name: math.inf if value is None else float(value) for name, value in body.items()}
-    return DivergenceState(**{name: kind(at[name]) for name, kind in WATCHED.items() if name in at})
 
 
 WATCHED = DivergenceState.__annotations__

@@ -431,7 +431,17 @@ def _reading(gains: PidGains, shown: PatternNumbers, settings: PatternSettings) 
     rebound = load.rebound if load else 0.0
     m = min(room, settings.damping_target - max(damping, rebound))
     if second is None:
-        return _PatternRead(*_without_second_peak(gains, room, m, shown, settings), m)
+        if m < -settings.dead_zone and rebound > settings.damping_target:
+            reading, move = PatternReading.LIVELY, _calmer(m, 0.0, 0.0, settings)
+        elif load and load.left_bands > settings.rested_bands:
+            reading, move = PatternReading.UNRESTED, Move()
+        elif gains.ki and _is_long(shown, settings):
+            reading, move = PatternReading.OVERDAMPED, Move(tau_i=1 / settings.least_up)
+        elif room <= settings.overshoot_target - settings.co_enough:
+            reading, move = PatternReading.ON_TARGET, Move()
+        else:
+            reading, move = PatternReading.OVERDAMPED, Move(kc=settings.least_up)
+        return _PatternRead(reading, move, m)
     ratio = gains.ki / gains.kp * second.period_s if gains.kp else math.inf
     # slow, near its targets, calm or lively. m : margin. ratio : period over tau_I
     if m < settings.dead_zone and _is_slow(second, ratio, shown.tenth_s, settings):
@@ -439,27 +449,14 @@ def _reading(gains: PidGains, shown: PatternNumbers, settings: PatternSettings) 
     elif abs(m) <= settings.dead_zone:
         reading, move = PatternReading.ON_TARGET, Move()
     elif m > 0:
-        reading, move = PatternReading.CALM, _faster(m, ratio, settings)
+        size = math.exp(min(settings.gain * m, math.log(settings.step_up)))
+        shorter = 0 < ratio < settings.long_ratio
+        move = Move(tau_i=max(1 / size, ratio / settings.long_ratio)) if shorter else Move(kc=size)
+        reading = PatternReading.CALM
     else:
         riding = damping - second.overshoot > settings.riding
         reading, move = PatternReading.LIVELY, _calmer(m, 0.0 if riding else ratio, damping, settings)
     return _PatternRead(reading, move, m, ratio if gains.kp else None)
-
-
-def _without_second_peak(
-    gains: PidGains, room: float, m: float, shown: PatternNumbers, settings: PatternSettings
-) -> tuple[PatternReading, Move]:
-    """Overdamped, or a swing that rides on a slow return."""
-    rebound = shown.after_load.rebound if shown.after_load else 0.0
-    if m < -settings.dead_zone and rebound > settings.damping_target:
-        return PatternReading.LIVELY, _calmer(m, 0.0, 0.0, settings)
-    if shown.after_load and shown.after_load.left_bands > settings.rested_bands:
-        return PatternReading.UNRESTED, Move()
-    if gains.ki and _is_long(shown, settings):
-        return PatternReading.OVERDAMPED, Move(tau_i=1 / settings.least_up)
-    if room <= settings.overshoot_target - settings.co_enough:
-        return PatternReading.ON_TARGET, Move()
-    return PatternReading.OVERDAMPED, Move(kc=settings.least_up)
 
 
 def _is_slow(second: SecondPeak, ratio: float, tenth_s: float | None, settings: PatternSettings) -> bool:
@@ -477,11 +474,3 @@ def _calmer(m: float, ratio: float, damping: float, settings: PatternSettings) -
         return Move(1 / settings.urgent_step, settings.urgent_step if beta else 1.0)
     size = math.exp(min(-settings.gain * m, math.log(settings.step_down)))
     return Move(size ** -(1 - beta), size**beta)
-
-
-def _faster(m: float, ratio: float, settings: PatternSettings) -> Move:
-    """More gain, or a shorter integral time where it is long against the period."""
-    size = math.exp(min(settings.gain * m, math.log(settings.step_up)))
-    if 0 < ratio < settings.long_ratio:
-        return Move(tau_i=max(1 / size, ratio / settings.long_ratio))
-    return Move(kc=size)

@@ -74,19 +74,15 @@ class Bus:
                 self.faults += 1
                 rng = self._rng
                 fault = rng.choices(FAULTS, self.weather.weights)[0]
-                if fault is not Fault.LOSS:
-                    if fault is Fault.DELAY:
-                        self._delay(way, message)
-                    elif fault is Fault.REORDERING:
-                        way.inbox.insert(rng.randrange(len(way.inbox) + 1), message)
-                    else:
-                        if fault is Fault.DUPLICATION:
-                            self._delay(way, message)
-                        elif fault is Fault.REPLAY:
-                            self._delay(way, rng.choice(self.history))
-                        else:
-                            message = damaged(rng, fault, message)
-                        way.inbox.append(message)
+                if fault is Fault.DELAY:
+                    self._delay(way, message)
+                elif fault is Fault.REORDERING:
+                    way.inbox.insert(rng.randrange(len(way.inbox) + 1), message)
+                elif fault in {Fault.DUPLICATION, Fault.REPLAY}:
+                    self._delay(way, message if fault is Fault.DUPLICATION else rng.choice(self.history))
+                    way.inbox.append(message)
+                elif fault is not Fault.LOSS:
+                    way.inbox.append(damaged(rng, fault, message))
 
     def deliver(self, sender: str, message: can.Message) -> None:
         """The same, and nothing happens to it on the way: one thing is wrong with it already, and must stay so."""

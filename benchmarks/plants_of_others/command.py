@@ -18,7 +18,7 @@ from pathlib import Path
 
 from online.runner import collect, rows_of
 
-from plants_of_others import aircraft, eastman, pairs, session, slow_levels
+from plants_of_others import aircraft, eastman, pairs, session
 from plants_of_others.columns import COLUMNS, Distillation
 from plants_of_others.loop import Card, Plant
 from plants_of_others.motor import Motor
@@ -80,9 +80,6 @@ def main() -> int:
     both.add_argument("--plants", nargs="+", choices=tuple(pairs.PAIRS), default=tuple(pairs.PAIRS))
     both.add_argument("--starts", nargs="+", choices=tuple(pairs.STARTS), default=tuple(pairs.STARTS))
     both.add_argument("--out", type=Path, metavar="FILE", help="every session as a line of JSON")
-    levels = parts.add_parser("levels", help="level loops that swing slowly: what diagnose says of their records")
-    levels.add_argument("--seed", type=int, default=1)
-    levels.add_argument("--sessions", type=int, default=6, help="records")
     picture = parts.add_parser("picture", help="the picture of docs/developers/plants-of-others.md")
     picture.add_argument("folder", type=Path)
     picture.add_argument("--seed", type=int, default=1)
@@ -97,7 +94,7 @@ def main() -> int:
     if options.part == "picture":
         _say([str(draw(options.folder, options.seed, options.start))])
         return 0
-    alone = {"aircraft": aircraft.measure, "levels": slow_levels.measure, "pairs": _pairs}
+    alone = {"aircraft": aircraft.measure, "pairs": _pairs}
     return alone.get(options.part, _measure)(options)
 
 

@@ -156,7 +156,16 @@ class CanOpenAccess:
                 return (Alive(), Acknowledged(name.removeprefix(WRITTEN)))
             return (Alive(), *self._number(name, answer.transfer.variable, answer.data))
         if cob in self._pdos:
-            return self._from_pdo(bytes(message.data), self._pdos[cob])
+            data = bytes(message.data)
+            whole = int.from_bytes(data, "little")
+            told: list[Told] = [Alive()]
+            for name, entry in self._pdos[cob]:
+                if entry.first + entry.bits > 8 * len(data) or entry.bits % 8:
+                    return ()
+                part = whole >> entry.first & ((1 << entry.bits) - 1)
+                told += self._number(name, entry.variable, part.to_bytes(entry.bits // 8, "little"))
+            # states first
+            return sorted(told, key=lambda one: isinstance(one, Heard) and one.name in {"pv", "co"})
         if cob == HEARTBEAT + node and message.data:
             state = message.data[0] & 0x7F
             if state == BOOTED:
@@ -176,17 +185,6 @@ class CanOpenAccess:
             words = f", {described.lower()}" if described else ""
             return (Alive(), Stopped(f"emergency {code:#06x}{words}", "emergency"))
         return ()
-
-    def _from_pdo(self, data: bytes, entries: Sequence[tuple[str, PdoEntry]]) -> Sequence[Told]:
-        """The numbers of a PDO; one that is too short tells nothing."""
-        whole = int.from_bytes(data, "little")
-        told: list[Told] = [Alive()]
-        for name, entry in entries:
-            if entry.first + entry.bits > 8 * len(data) or entry.bits % 8:
-                return ()
-            part = whole >> entry.first & ((1 << entry.bits) - 1)
-            told += self._number(name, entry.variable, part.to_bytes(entry.bits // 8, "little"))
-        return sorted(told, key=lambda one: isinstance(one, Heard) and one.name in {"pv", "co"})  # states first
 
     def _number(self, name: str, variable: Variable, data: bytes) -> Sequence[Told]:
         try:

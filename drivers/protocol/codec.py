@@ -102,7 +102,9 @@ class BitLayout:
             if before is not None and first < before.start + before.length:
                 pieces[-1] = _Piece(before.start, last + 1 - before.start, (*before.signals, signal), True)
             else:
-                pieces.append(_Piece(first, last + 1 - first, (signal,), not _is_plain(signal)))
+                unscaled = (signal.scale, signal.offset) == (1, 0)
+                is_plain = signal.is_float or (unscaled and signal.start % 8 == 0 and signal.length in CODES)
+                pieces.append(_Piece(first, last + 1 - first, (signal,), not is_plain))
         code, at = "", 0
         for piece in pieces:
             signal = piece.signals[0]
@@ -202,11 +204,6 @@ def _reach(signal: Signal) -> tuple[float, float]:
     sign = 1 << signal.length - 1 if signal.is_signed else 0
     ends = [raw * signal.scale + signal.offset for raw in (-sign, (1 << signal.length) - 1 - sign)]
     return min(ends), max(ends)
-
-
-def _is_plain(signal: Signal) -> bool:
-    unscaled = (signal.scale, signal.offset) == (1, 0)
-    return signal.is_float or (unscaled and signal.start % 8 == 0 and signal.length in CODES)
 
 
 def _alone(slot: int, piece: _Piece, place: int) -> _Alone:

@@ -233,7 +233,7 @@ class Rig:
             decision = self.retuner.observe(sample)
             if decision is not None:
                 found.append(decision)
-                if not (decision.action not in {Action.WRITE, Action.RESTORE} or decision.gains_after is None):
+                if decision.action in {Action.WRITE, Action.RESTORE} and decision.gains_after is not None:
                     new = law(decision.gains_after, co_min=self.limits[0], co_max=self.limits[1])
                     self.state, self.rules = change(self.rules, new, self.state, sp, pv, 1.0), new
                     self.revision += 1

@@ -40,7 +40,7 @@ def test_more_unknowns_than_samples_are_not_asked_for(seed: int) -> None:
         stem = co[i] if abs(co[i] - stem) > band else stem
         u[i] = stem
         x += ((u[i - theta] if i >= theta else 0.0) - x + load[i]) / tau
-    found = diagnose_window(*(Window(np.arange(n) * dt_s, sp, pv, co), PidGains(kp, ki, 0.0))).diagnosis
+    found = diagnose_window(Window(np.arange(n) * dt_s, sp, pv, co), PidGains(kp, ki, 0.0)).diagnosis
     assert found.cause in Cause
     assert found.reason
 

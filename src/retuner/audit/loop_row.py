@@ -129,6 +129,13 @@ def _row(tag: str, read: Iterator[LoopRecord], settings: AuditSettings, *, commo
         begin_s, since = seen.begin_s, verdict.since_s
         named = verdict.cause != Cause.UNKNOWN
         avoidable = verdict.avoidable if named or 0 < verdict.avoidable < 1 else None
+        if len(seen.trends) == 1 or len({later_s for later_s, _ in seen.trends}) < len(seen.trends):
+            one_trend = max((trend for _, trend in seen.trends), key=lambda trend: trend["t_s"][-1] - trend["t_s"][0])
+        else:
+            ordered = sorted(seen.trends, key=lambda one: one[0])
+            times = np.concatenate([np.array(trend["t_s"]) + later_s for later_s, trend in ordered])
+            values = {name: np.concatenate([trend[name] for _, trend in ordered]) for name in ("sp", "pv", "co")}
+            one_trend = _thinned(times, values, DRAWN)
         return {
             "schema": SCHEMA,
             "tag": tag,
@@ -157,7 +164,7 @@ def _row(tag: str, read: Iterator[LoopRecord], settings: AuditSettings, *, commo
             ),
             "tracks": seen.tracks if common_clock else {},
             "stretches": [part.shown for part in seen.parts],
-            "trend": _one_trend(seen.trends),
+            "trend": one_trend,
             "over_time": _course(seen),
         }
     except ANY_FAULT as error:
@@ -256,16 +263,6 @@ def _course(seen: _LoopRecords) -> Row | None:
     }
     begins = [_moment(seen.begin_s, part.begin_s) or f"{part.begin_s / DAY_S:g} d" for part in parts]
     return {"days": seen.period_s / DAY_S, "begin": [begin[:10] for begin in begins], **told}
-
-
-def _one_trend(trends: Sequence[tuple[float, Trend]]) -> Trend:
-    """The trends of several records as one, where their times tell how they follow; else the longest."""
-    if len(trends) == 1 or len({later_s for later_s, _ in trends}) < len(trends):
-        return max((trend for _, trend in trends), key=lambda trend: trend["t_s"][-1] - trend["t_s"][0])
-    ordered = sorted(trends, key=lambda one: one[0])
-    times = np.concatenate([np.array(trend["t_s"]) + later_s for later_s, trend in ordered])
-    values = {name: np.concatenate([trend[name] for _, trend in ordered]) for name in ("sp", "pv", "co")}
-    return _thinned(times, values, DRAWN)
 
 
 def _moment(begin_s: float | None, after_s: float) -> str | None:

@@ -258,7 +258,21 @@ def valve(options: ValveOptions) -> int:
         shape = ExperimentSignal(_valve_step(options), hold_s=options.hold, moves=SHORT if options.short else STAIRCASE)
         return on_demand(options.config, Experiment.VALVE, options, ExperimentQuestion(Experiment.VALVE), shape)
     if options.file is None:
-        sys.stdout.write("\n".join(_valve_moves(options)) + "\n")
+        step = _valve_step(options)
+        told: list[tuple[int, float]] = []
+        for move in SHORT if options.short else STAIRCASE:
+            if told and told[-1][1] == move * step:
+                told[-1] = (told[-1][0] + 1, told[-1][1])
+            else:
+                told.append((1, move * step))
+        moves = ", ".join(f"{count} x {move:+g}" if count > 1 else f"{move:+g}" for count, move in told)
+        valve_moves = [
+            "In manual, move co by these steps; hold each for four times the time to half of pv's change:",
+            f"  {moves}",
+            "Record time, co and pv, then: retuner experiment valve --from FILE",
+            "On a controller that is configured: retuner experiment valve CONFIG --step STEP --hold SECONDS",
+        ]
+        sys.stdout.write("\n".join(valve_moves) + "\n")
         return 0
     read = read_record([options.file], options)
     tell_assumed(read.assumed, options)
@@ -274,20 +288,3 @@ def _valve_step(options: ValveOptions) -> float:
             f"--step {options.step:g}: give a small step of co, above 0 and at most {LARGEST_VALVE_STEP:g} percent"
         )
     return options.step
-
-
-def _valve_moves(options: ValveOptions) -> list[str]:
-    step = _valve_step(options)
-    told: list[tuple[int, float]] = []
-    for move in SHORT if options.short else STAIRCASE:
-        if told and told[-1][1] == move * step:
-            told[-1] = (told[-1][0] + 1, told[-1][1])
-        else:
-            told.append((1, move * step))
-    moves = ", ".join(f"{count} x {move:+g}" if count > 1 else f"{move:+g}" for count, move in told)
-    return [
-        "In manual, move co by these steps; hold each for four times the time to half of pv's change:",
-        f"  {moves}",
-        "Record time, co and pv, then: retuner experiment valve --from FILE",
-        "On a controller that is configured: retuner experiment valve CONFIG --step STEP --hold SECONDS",
-    ]

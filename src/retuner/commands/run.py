@@ -289,7 +289,11 @@ def _carried_out(job: RunJob, job_run: Run, ledger: Ledger, watching: "Watching"
             if several:
                 for loop in session.loops:
                     loop.tell_over()
-            ledger.append("end", {"interrupted": interrupted, **_traffic(job), "samples": samples}, session.t_s)
+            logs = [log_of_bus(job.folder / BUS_LOG, number) for number in range(len(job.config.buses))]
+            hashes = {log.name: file_sha256(*log_parts(log).paths) for log in logs}
+            first: dict[str, object] = {"bus_log": BUS_LOG, "bus_log_sha256": hashes[BUS_LOG]}
+            traffic = first if len(logs) == 1 else {**first, "bus_logs": hashes}
+            ledger.append("end", {"interrupted": interrupted, **traffic, "samples": samples}, session.t_s)
         except LedgerError as error:
             session.freeze(str(error))
         interrupted |= compare and fixed is None
@@ -306,14 +310,6 @@ def _wrong(job: RunJob, session: Session) -> Iterator[str]:
     yield from [*filter(None, (loop.wrong_way for loop in session.loops)), *job.unwritten.lines]
     if job.unwritten.lines:
         yield f"make room; the ledger has every decision: retuner report {job.folder} makes the report"
-
-
-def _traffic(job: RunJob) -> dict[str, object]:
-    """The bus logs by name and by the hash of their parts one after the other."""
-    logs = [log_of_bus(job.folder / BUS_LOG, number) for number in range(len(job.config.buses))]
-    hashes = {log.name: file_sha256(*log_parts(log).paths) for log in logs}
-    first: dict[str, object] = {"bus_log": BUS_LOG, "bus_log_sha256": hashes[BUS_LOG]}
-    return first if len(logs) == 1 else {**first, "bus_logs": hashes}
 
 
 class LedgerSize:

@@ -123,8 +123,20 @@ def what_if(asked: WhatIfQuestion) -> dict[str, object]:
     for model in models:
         one: dict[str, object] = {"step": _matrices(model, step_s), "curve": _curve(model, asked.dt_s, models)}
         each.append(one | ({"record": _matrices(model, record.sample_time_s)} if record is not None else {}))
+    if record is None:
+        recorded = {"dt": 1.0, "sp": [], "pv": [], "co": [], "limits": [-1e9, 1e9], "range": 1.0, "floor": [0.0, 0.0]}
+    else:
+        room = 1e6 * max(float(np.ptp(record.co)), 1.0)
+        low = float(np.min(record.co)) - room if asked.co_limits[0] is None else asked.co_limits[0]
+        recorded = {
+            "dt": record.sample_time_s,
+            **{name: _listed(getattr(record, name), 6) for name in ("sp", "pv", "co")},
+            "limits": [low, float(np.max(record.co)) + room if asked.co_limits[1] is None else asked.co_limits[1]],
+            "range": max(float(np.ptp(record.pv)), float(np.ptp(record.sp)), 1e-9),
+            "floor": [*axis_floors(record.pv)],
+        }
     return {
-        **_recorded(record, asked.co_limits),
+        **recorded,
         "models": each,
         "step": {"dt": step_s, "n": max(math.ceil(until_s / step_s), 20)},
         "curve": each[0]["curve"],
@@ -183,20 +195,6 @@ def _telling(record: Window) -> Window:
     return Window(record.t_s[part], record.sp[part], record.pv[part], record.co[part], record.noise_std)
 
 
-def _recorded(record: Window | None, limits: tuple[float | None, float | None]) -> dict[str, object]:
-    if record is None:
-        return {"dt": 1.0, "sp": [], "pv": [], "co": [], "limits": [-1e9, 1e9], "range": 1.0, "floor": [0.0, 0.0]}
-    room = 1e6 * max(float(np.ptp(record.co)), 1.0)
-    low = float(np.min(record.co)) - room if limits[0] is None else limits[0]
-    return {
-        "dt": record.sample_time_s,
-        **{name: _listed(getattr(record, name), 6) for name in ("sp", "pv", "co")},
-        "limits": [low, float(np.max(record.co)) + room if limits[1] is None else limits[1]],
-        "range": max(float(np.ptp(record.pv)), float(np.ptp(record.sp)), 1e-9),
-        "floor": [*axis_floors(record.pv)],
-    }
-
-
 def _speeds(model: ProcessModel | None, dt_s: float, *, pid: bool) -> list[list[float]]:
     """Settings of rule simc over its tau_c, the fastest first; none where it has no answer."""
     if model is None:
@@ -243,21 +241,18 @@ def script_hash() -> str:
 def page_script() -> str:
     """The engine with all controllers, for a page."""
     text = files("retuner.templates").joinpath("what_if.js").read_text(encoding="utf-8")
-    return text.replace("/*CONTROLLERS*/{}", json.dumps(_controllers()))
-
-
-def panel_style() -> str:
-    """The look of the panel."""
-    return files("retuner.templates").joinpath("what_if.css").read_text(encoding="utf-8")
-
-
-def _controllers() -> dict[str, object]:
     named = {name: ControllerUnits.named(name, 1.0) for name in (DEFAULT, *(n for n in PAGE_UNITS if n != DEFAULT))}
     forms = {name: (units.dials, units.form) for name, units in named.items()} | {
         n: tuple(c) for n, c in CONTROLLERS.items()
     }
     keys = ("label", "unit", "quantity", "scale", "of_span")
-    return {
+    controllers = {
         name: {"form": str(form), "dials": [{key: getattr(dial, key) for key in keys} for dial in dials]}
         for name, (dials, form) in forms.items()
     }
+    return text.replace("/*CONTROLLERS*/{}", json.dumps(controllers))
+
+
+def panel_style() -> str:
+    """The look of the panel."""
+    return files("retuner.templates").joinpath("what_if.css").read_text(encoding="utf-8")

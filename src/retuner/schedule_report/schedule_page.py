@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
-from retuner.adaptive.schedule_choice.scheduling_variables import RegionCrossing
 from retuner.adaptive.schedule_design.places import OUT
 from retuner.adaptive.schedule_design.record_stretches import CurveShape
 from retuner.adaptive.signals.sample import FloatArray, Window
@@ -85,10 +84,16 @@ def motion_sentences(found: ScheduleDesign) -> list[str]:
     for crossing in found.design.crossings:
         way = "up" if crossing.up else "down"
         ratio = f"{crossing.iae_ratio:.2f}" if math.isfinite(crossing.iae_ratio) else "without end"
+        if not crossing.proper:
+            moving_words = ". WORSE: ramp such steps."
+        elif crossing.own_overshoot > TOO_LARGE:
+            moving_words = ". The schedule does no harm, but such a step is too large for any gains here: ramp it."
+        else:
+            moving_words = ". No worse."
         told.append(
             f"Simulated setpoint step {way} over {crossing.share:.0%} of the range, gains by {crossing.variable}: "
             f"IAE {ratio}, overshoot {crossing.overshoot:.0%}. With the best gains at every point: IAE 1, overshoot "
-            f"{crossing.own_overshoot:.0%}" + _moving_words(crossing)
+            f"{crossing.own_overshoot:.0%}" + moving_words
         )
     return told
 
@@ -96,14 +101,6 @@ def motion_sentences(found: ScheduleDesign) -> list[str]:
 TOO_LARGE = 0.5
 LONG_HOLD_S = 120.0  # from here on in minutes
 """Overshoot with each place's own gains from which a step is too large for any gains."""
-
-
-def _moving_words(crossing: RegionCrossing) -> str:
-    if not crossing.proper:
-        return ". WORSE: ramp such steps."
-    if crossing.own_overshoot > TOO_LARGE:
-        return ". The schedule does no harm, but such a step is too large for any gains here: ramp it."
-    return ". No worse."
 
 
 def experiment_sentence(found: ScheduleDesign) -> str:

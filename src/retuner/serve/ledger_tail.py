@@ -61,7 +61,12 @@ class LedgerTail:
             return 0
         taken = 0
         for row in rows:
-            if not self._believed(row):
+            try:
+                expected = next_row(self.head, self.count + 1, row.clock_s, row.kind, row.text)
+            except (ValueError, TypeError):
+                expected = None
+            if expected != row:
+                self.broken = f"row {self.count + 1} cannot be trusted: it was changed after it was written"
                 break
             self.count, self.head = row.seq, row.hash
             self.told.append(self._teller.told(row))
@@ -94,13 +99,3 @@ class LedgerTail:
     def close(self) -> None:
         """Close the file."""
         self._reader.close()
-
-    def _believed(self, row: Row) -> bool:
-        try:
-            expected = next_row(self.head, self.count + 1, row.clock_s, row.kind, row.text)
-        except (ValueError, TypeError):
-            expected = None
-        if expected != row:
-            self.broken = f"row {self.count + 1} cannot be trusted: it was changed after it was written"
-            return False
-        return True

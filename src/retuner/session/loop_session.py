@@ -17,7 +17,6 @@ from retuner.adaptive.setpoint_bumps.loop_bumps import LoopBumps
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.supervision.decision import Action, Decision, gains_dict
 from retuner.adaptive.supervision.findings import WRONG_WAY
-from retuner.adaptive.supervision.question import Question
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.phase import TrialEvent
 from retuner.decisions.decider import LATE, LOST, DecideHere, Decider
@@ -239,7 +238,17 @@ class LoopSession:
         if decision is not None:
             self._decided(decision)
         if self.retuner.open_question is not None:
-            self._enter_answer(self.retuner.open_question)
+            answer = self.decider.answer(self.retuner.sample_number)
+            if answer is not None:
+                body = {
+                    "asked": self.retuner.open_question.sample_number,
+                    "code": answer.result.code,
+                    "reason": answer.trouble,
+                }
+                self._to_ledger("answer", self.writer.t_s, body)
+                if answer.result.code in {LATE, LOST}:
+                    self._to_ledger("worker", self.writer.t_s, {"reason": answer.trouble})
+                self._decided(self.retuner.enter(self.retuner.open_question, answer.result, self.retuner.sample_number))
         if self.writer.free:
             for ordered in self.orders(sample.t_s):
                 self._decided(ordered)
@@ -282,17 +291,6 @@ class LoopSession:
         region = self.table.regions.names[step.question.record.region]
         self._to_ledger("question", step.question.t_s, {"asked": step.question.sample_number, "region": region})
         return step.decision
-
-    def _enter_answer(self, question: Question) -> None:
-        """Enter the answer to the open question, if it has come: recorded first, for a replay enters it here too."""
-        answer = self.decider.answer(self.retuner.sample_number)
-        if answer is None:
-            return
-        body = {"asked": question.sample_number, "code": answer.result.code, "reason": answer.trouble}
-        self._to_ledger("answer", self.writer.t_s, body)
-        if answer.result.code in {LATE, LOST}:
-            self._to_ledger("worker", self.writer.t_s, {"reason": answer.trouble})
-        self._decided(self.retuner.enter(question, answer.result, self.retuner.sample_number))
 
     def _decided(self, decision: Decision) -> None:
         self.decisions.append(decision)

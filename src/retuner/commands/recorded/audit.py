@@ -106,8 +106,16 @@ def _tell(rows: Sequence[Row], found: Catalogue, options: AuditOptions) -> None:
         return
     for path, reason in found.refused[:SHOWN]:
         sys.stderr.write(f"left out: {reason if str(path) in reason else f'{path}: {reason}'}\n")
+    tag, roles = next(((tag, roles) for tag, roles in found.signals.items() if tag), ("", {}))
+    apart = [task for task in found.tasks if task.separate]
+    files = sum(len(task.files) for task in apart)
+    by_name = f"{files} files are records of {len(apart)} {'loop' if len(apart) == 1 else 'loops'}, by their names"
+    shown = ", ".join(f"{role} = {roles[role]}" for role in sorted(roles)) + ("; " if roles and apart else "")
+    shown += by_name if apart else ""
+    more = f"; {len(found.others)} names belong to no loop" if found.others else ""
+    names_told = (f"{tag}: " if tag else "") + shown + more
     sys.stderr.write(
-        f"names: {_names_told(found)}; {options.out / JOINED} lists all; correct it and give it back with --record\n"
+        f"names: {names_told}; {options.out / JOINED} lists all; correct it and give it back with --record\n"
     )
     sys.stdout.write(summary(rows, len(found.refused)) + "\n")
     for row in [row for row in rows if is_fault(row)][:SHOWN]:
@@ -125,14 +133,3 @@ def _tell(rows: Sequence[Row], found: Catalogue, options: AuditOptions) -> None:
         more = f" and {len(worse) - SHOWN} more" if len(worse) > SHOWN else ""
         sys.stdout.write(f"worse since then: {', '.join(worse[:SHOWN]) or 'none'}{more}\n")
     sys.stdout.write(f"the page: {options.out / 'index.html'}\n")
-
-
-def _names_told(found: Catalogue) -> str:
-    tag, roles = next(((tag, roles) for tag, roles in found.signals.items() if tag), ("", {}))
-    apart = [task for task in found.tasks if task.separate]
-    files = sum(len(task.files) for task in apart)
-    by_name = f"{files} files are records of {len(apart)} {'loop' if len(apart) == 1 else 'loops'}, by their names"
-    shown = ", ".join(f"{role} = {roles[role]}" for role in sorted(roles)) + ("; " if roles and apart else "")
-    shown += by_name if apart else ""
-    more = f"; {len(found.others)} names belong to no loop" if found.others else ""
-    return (f"{tag}: " if tag else "") + shown + more

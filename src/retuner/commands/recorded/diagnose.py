@@ -12,7 +12,7 @@ from retuner import diagnosing
 from retuner.adaptive.audit.loop_screen import LoopScreen, screen_loop
 from retuner.adaptive.cause_odds.odds_settings import OddsSettings
 from retuner.adaptive.controller_settings.read_off import SettingsInForce, settings_in_force
-from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
+from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause
 from retuner.adaptive.diagnosis.enough_data import shortcomings
 from retuner.adaptive.explanations.proposed_test import DecidingTest, TestKind
 from retuner.adaptive.indexes.days import days_of
@@ -160,7 +160,11 @@ def described(found: DiagnosedRecord) -> list[str]:
     """The finding in some eight lines."""
     result = found.result
     told = result.diagnosis
-    lines = [f"{_headline(told)}: {told.reason}", *_controller_lines(found)]
+    title = str(told.cause).replace("_", " ").upper()
+    others = [(cause, p) for cause, p in told.causes.items() if cause != told.cause and p >= WORTH_NAMING]
+    second = "".join(f", or {cause.replace('_', ' ')} {_odds(p)}" for cause, p in others[:1])
+    headline = f"{title} ({_odds(told.confidence)}{second})"
+    lines = [f"{headline}: {told.reason}", *_controller_lines(found)]
     if told.retune and result.settings is not None:
         tuning = result.settings.tuning
         title = "first step" if result.aim is not None else "recommended"
@@ -187,14 +191,6 @@ def described(found: DiagnosedRecord) -> list[str]:
 
 NAME = 13  # width of the names of lines
 WORTH_NAMING = 0.1  # probability from which a second cause is named in the headline
-
-
-def _headline(told: Diagnosis) -> str:
-    """The cause with its odds, and what else may be behind it."""
-    title = str(told.cause).replace("_", " ").upper()
-    others = [(cause, p) for cause, p in told.causes.items() if cause != told.cause and p >= WORTH_NAMING]
-    second = "".join(f", or {cause.replace('_', ' ')} {_odds(p)}" for cause, p in others[:1])
-    return f"{title} ({_odds(told.confidence)}{second})"
 
 
 def _odds(p: float) -> str:
