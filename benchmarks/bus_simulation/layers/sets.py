@@ -225,10 +225,7 @@ class Sets:
                 expected, said = before.confirmed, (CONFIRM, before.running.seq, REVERTED)
                 self._of_running = b""
         now = after.running
-        if (now.seq, (now.gains.kp, now.gains.ki, now.gains.kd)) != (
-            expected.seq,
-            (expected.gains.kp, expected.gains.ki, expected.gains.kd) if isinstance(expected, GainSet) else expected,
-        ):
+        if (now.seq, (now.gains.kp, now.gains.ki, now.gains.kd)) != _plain(expected):
             raise broken("commits_meet_every_condition" if said and said[2] == OK else "trials_end",
                          f"{now} runs after a sample, {expected} should")  # fmt: skip
         acks = [Ack(data) for data in replies]
@@ -236,3 +233,10 @@ class Sets:
             raise broken("commits_meet_every_condition", f"a sample says {replies}, right is {said}")
         if after.latest != before.latest or after.confirmed != before.confirmed:
             raise broken("trials_end", f"{after} after {before}")
+
+
+def _plain(content: GainSet | tuple[int, tuple[float, ...]]) -> tuple[int, tuple[float, ...]]:
+    """Number and gains."""
+    if isinstance(content, GainSet):
+        return content.seq, (content.gains.kp, content.gains.ki, content.gains.kd)
+    return content
