@@ -41,9 +41,12 @@ from retuner.adaptive.explanations.process_grid import (
     DEAD_TIMES,
     EVERY_LAG,
     GAINS,
+    HALF_TURN,
     BoolArray,
     ComplexArray,
+    control_law,
     gain_unit,
+    loop_phases,
     responses_of,
     robustness,
     shapes,
@@ -210,10 +213,14 @@ def _possible(gains: PidGains, dt_s: float, unit: float) -> tuple[BoolArray, Boo
     """Processes on which a loop at work may be (head of this file), and those that run away and may be held."""
     known = robustness(gains, dt_s, unit)
     possible = (known.ultimate * BEYOND >= GAINS * known.scale) & (known.room(MS_OF_ROOM) <= MOST_ROOM)
-    places, g = np.indices(GRID)[:, len(shapes()) :].reshape(3, -1), gains
-    away = _those(tuple(places), np.ones(places.shape[1]), unit, dt_s)
-    under = [away.stable(PidGains(x * g.kp, x * g.ki, x * g.kd)) for x in SHARES]
-    return np.asarray(possible), np.asarray(np.any(under, axis=0).reshape(-1, *GRID[1:]))
+    rows, dead = np.indices((GRID[0] - len(shapes()), GRID[1]))
+    rows, law, gain = rows + len(shapes()), control_law(gains, dt_s), np.multiply.outer(SHARES, GAINS / unit)
+    size, over = np.abs(responses_of(rows, dead) * law), loop_phases(rows, dead, law) > HALF_TURN
+    *cell, at = np.nonzero(over[..., :-1] != over[..., 1:])  # where a phase passes the limit, alike for every gain
+    large = gain[..., None] ** 2 * (size[..., :-1] * size[..., 1:])[(*cell, at)] >= 1
+    turns = (over[..., 0, None, None] & (gain * size[..., 0, None, None] >= 1)).astype(int)
+    np.add.at(turns, tuple(cell), np.moveaxis(np.where(over[(*cell, at)], -1, 1) * large, -1, 0))
+    return np.asarray(possible), np.asarray((turns == 1).any(axis=2))  # one turn round -1 holds one pole (Nyquist)
 
 
 def _those(at: tuple[npt.NDArray[np.intp], ...], weights: FloatArray, unit: float, dt_s: float) -> LikelyProcesses:

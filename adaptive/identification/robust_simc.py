@@ -112,33 +112,39 @@ def _tightest(
     third = third_lag(model, settings.hidden_share)
     calmer = 1.0 / model.zeta if model.zeta < SWINGS else 1.0  # the less damped, the larger tau_c may become
 
-    def at(ratio: float) -> RobustTuning:
+    known, plausible = model.linear(), [one.linear() for one in (model, *others)]
+
+    def at(ratio: float) -> Tuning:
         given = by_integral(model, ratio) if asks_for_integral(model) else simc(model, ratio * theta, kind)
         shorter = replace(given.gains, ki=given.gains.ki / settings.tau_i_share)
-        given = replace(given, gains=series_kept(shorter, given.gains))
-        ms = sensitivity_peak(model.linear(), given.gains, settings.tau_f_s)
-        worst = max(sensitivity_peak(m.linear(), given.gains) for m in (model, *others))
-        return RobustTuning(given, ms, worst)
+        return replace(given, gains=series_kept(shorter, given.gains))
 
-    def proper(found: RobustTuning, ratio: float) -> bool:
-        if third is not None and sensitivity_peak(third.linear(), found.tuning.gains) > settings.ms_third:
+    def holds(gains: PidGains) -> bool:
+        return all(sensitivity_peak(one, gains) <= settings.ms_worst for one in plausible)
+
+    def proper(gains: PidGains, ratio: float) -> bool:
+        if third is not None and sensitivity_peak(third.linear(), gains) > settings.ms_third:
             return False
-        doubt = found.ms_worst <= settings.ms_worst or ratio >= settings.tau_c_doubt * calmer
-        return found.ms_nominal <= settings.ms_nominal and doubt
+        doubt = ratio >= settings.tau_c_doubt * calmer
+        return sensitivity_peak(known, gains, settings.tau_f_s) <= settings.ms_nominal and (doubt or holds(gains))
+
+    def told(tuning: Tuning) -> RobustTuning:
+        worst = max(sensitivity_peak(one, tuning.gains) for one in plausible)
+        return RobustTuning(tuning, sensitivity_peak(known, tuning.gains, settings.tau_f_s), worst)
 
     tightest = at(1.0)
-    if proper(tightest, 1.0):
-        return tightest, True
+    if proper(tightest.gains, 1.0):
+        return told(tightest), True
     low, high = 1.0, settings.tau_c_most * calmer
     best = at(high)
     for _ in range(BISECTIONS):
         middle = (low + high) / 2
         found = at(middle)
-        if proper(found, middle):
+        if proper(found.gains, middle):
             high, best = middle, found
         else:
             low = middle
-    return best, best.ms_worst <= settings.ms_worst and proper(best, high)
+    return told(best), holds(best.gains) and proper(best.gains, high)
 
 
 def swings(model: ProcessModel) -> bool:
