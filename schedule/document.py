@@ -33,30 +33,6 @@ SHOWN = 40
 Lines = dict[tuple[str, str], int]  # Line, counted from 1, of a key in a section; the key "" is the section's header
 
 
-def read_toml(text: str) -> "TomlSection":
-    """The top of a document. Raises ValueError: the text is not TOML; tomllib says line and column."""
-    try:
-        values: dict[str, object] = tomllib.loads(text)
-    except RecursionError:
-        raise ValueError("not TOML that can be read: brackets are nested too deeply") from None
-    except ValueError as error:
-        raise ValueError(f"not TOML: {error}") from None
-    # Where sections and keys stand; the i-th [[name]] is called "name i", from 0
-    lines: Lines = {}
-    section = ""
-    entries: Counter[str] = Counter()
-    for number, line in enumerate(text.split("\n"), start=1):
-        if header := HEADER.match(line):
-            section = header[2]
-            if header[1] == "[[":
-                entries[section] += 1
-                section = f"{section} {entries[section] - 1}"
-            lines.setdefault((section, ""), number)
-        elif key := KEY.match(line):
-            lines.setdefault((section, key[1]), number)
-    return TomlSection(values, "", lines)
-
-
 class TomlSection:
     """Values of a section. name : "" for the top of the document. lines : where its keys stand.
 
@@ -229,7 +205,26 @@ def from_toml(text: str) -> GainTable:
     Raises ValueError: the text is not TOML, its schema is not known, a key is missing, unknown or of a wrong kind, or a
     value is refused by Regions, PidGains or GainTable: one line, with the line of the text where it is known.
     """
-    top = read_toml(text)
+    try:
+        values: dict[str, object] = tomllib.loads(text)
+    except RecursionError:
+        raise ValueError("not TOML that can be read: brackets are nested too deeply") from None
+    except ValueError as error:
+        raise ValueError(f"not TOML: {error}") from None
+    # Where sections and keys stand; the i-th [[name]] is called "name i", from 0
+    lines: Lines = {}
+    section = ""
+    entries: Counter[str] = Counter()
+    for number, line in enumerate(text.split("\n"), start=1):
+        if header := HEADER.match(line):
+            section = header[2]
+            if header[1] == "[[":
+                entries[section] += 1
+                section = f"{section} {entries[section] - 1}"
+            lines.setdefault((section, ""), number)
+        elif key := KEY.match(line):
+            lines.setdefault((section, key[1]), number)
+    top = TomlSection(values, "", lines)
     schema = top.whole("schema")
     if schema != SCHEMA:
         raise top.error(f"schema = {schema} is unknown; this version reads schema = {SCHEMA}", "schema")

@@ -27,7 +27,7 @@ import numpy.typing as npt
 
 from retuner.adaptive.fit.levenberg_marquardt import Limits, descended
 from retuner.adaptive.fit.structure import LAG, LEAST_ZETA, SECOND, SIZE, SLOPE, THETA, dynamics_at, model_at
-from retuner.adaptive.identification.plausible import MOST_EXCESS, Plausible
+from retuner.adaptive.identification.plausible import MOST_EXCESS
 from retuner.adaptive.loop.sampled import SampledLaw, setpoint_response
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.rules.simc import simc
@@ -262,12 +262,6 @@ def middle(found: Sequence[tuple[FloatArray, float]], sign: int, dt_s: float) ->
     weights = np.exp(-np.array([excess for _, excess in found]) / 2)
     mean = weights @ logs / np.sum(weights)
     return int(np.argmin(np.sum((logs - mean) ** 2, axis=1)))
-
-
-def as_plausible(found: Sequence[tuple[FloatArray, float]], first: int, sign: int) -> tuple[Plausible, ...]:
-    """The models, that one first."""
-    order = [first, *(i for i in range(len(found)) if i != first)]
-    return tuple(Plausible(model_at(TYPE, found[i][0], sign), found[i][1] if i != first else 0.0) for i in order)
 
 
 AT_MOST = 1.5  # share of a setpoint step that pv of a stable loop comes to late, where it has not been farther before

@@ -27,7 +27,7 @@ import numpy as np
 
 from retuner.adaptive.fit.levenberg_marquardt import Limits, descended
 from retuner.adaptive.fit.structure import INVERSE, LAG, SECOND, SIZE, SLOPE, THETA, dynamics_at, model_at
-from retuner.adaptive.identification.by_likelihood import Likelihood, as_plausible, middle, runs_away
+from retuner.adaptive.identification.by_likelihood import TYPE, Likelihood, middle, runs_away
 from retuner.adaptive.identification.estimate import (
     Alternative,
     LogModel,
@@ -247,7 +247,10 @@ def process_behind(
         newest, sign = likelihood.records[-1], likelihood.sign
         points = likelihood.around(likely)
         leading = middle(points, sign, newest.dt_s)
-        around = as_plausible(points, leading, sign)
+        order = [leading, *(i for i in range(len(points)) if i != leading)]
+        around = tuple(
+            Plausible(model_at(TYPE, points[i][0], sign), points[i][1] if i != leading else 0.0) for i in order
+        )
         log = LogModel(points[leading][0], proper_covariance(likely.own), sign, likelihood.type)
         information = np.linalg.cholesky(np.linalg.inv(log.p)).T
         alternative = Alternative(log, likely.deviance, information, information @ log.x, likelihood.samples)

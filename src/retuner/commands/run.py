@@ -1,5 +1,6 @@
 """retuner run: watch and retune a loop, and leave report, ledger, trend and bus log behind."""
 
+import importlib.util
 import math
 import sys
 from collections.abc import Callable, Iterator, Mapping
@@ -20,7 +21,7 @@ from retuner.drivers.device import DeviceError
 from retuner.errors import LedgerError, UserError
 from retuner.files import Unwritten, write_whole
 from retuner.ledger import Ledger
-from retuner.ledger.trend import require_writer
+from retuner.ledger.trend import NO_PYARROW
 from retuner.products import product
 from retuner.schedule.controller_units import Acting
 from retuner.schedule.gains import PidGains
@@ -192,7 +193,8 @@ def run(options: "RunOptions") -> int:
     speed = real_time_speed(options.speed, simulated=config.simulated)
     folder = options.out or Path(config.output.directory)
     screen: LiveScreen = product("live view").screen_for(options.as_json, answers_only=quiet(), detail=options.verbose)
-    require_writer(config.output.trend)
+    if config.output.trend == "parquet" and importlib.util.find_spec("pyarrow") is None:
+        raise UserError(NO_PYARROW)
     if options.serve:
         product("page").require_page()
     fresh = fresh_folder(folder)

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 
 from retuner.adaptive.guard.write_order import ChosenWay, gentlest_way, proved_way
-from retuner.adaptive.supervision.known_processes import allowed_models
+from retuner.adaptive.supervision.known_processes import still_allowed
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.drivers.device import WriteRefusedError
 from retuner.schedule.gains import PidGains
@@ -48,7 +48,8 @@ class OrderOfWrites:
         region = retuner.region
         if region is None:
             return None
-        models = allowed_models(region, retuner.region_models, self._now(), s)
+        known = retuner.region_models.get(region)
+        models = () if known is None else still_allowed(known, self._now(), s)
         return proved_way(ways, ends, models, s.sample_time_s, s.guard.ms_worst, s.filter_s)
 
     def _why(self, ways: Sequence[Way]) -> str:

@@ -1,6 +1,5 @@
 """The trend of a run: every sample with the region and the gains that were in force."""
 
-import importlib.util
 from array import array
 from collections.abc import Iterator
 from pathlib import Path
@@ -80,15 +79,6 @@ class Trend:
         """Arrays by column name, each of shape (n,)."""
         table = self.rows.table()
         return {name: table[:, i] for i, name in enumerate(self.names)}
-
-
-def require_writer(kind: str) -> None:
-    """Refuse a kind of trend that cannot be written here, before a run whose trend it would be.
-
-    Raises UserError: parquet is wanted and pyarrow is not installed.
-    """
-    if kind == "parquet" and importlib.util.find_spec("pyarrow") is None:
-        raise UserError(NO_PYARROW)
 
 
 def write_trend(stem: Path, trend: Trend, kind: str) -> Path:

@@ -1,12 +1,12 @@
 """From the configuration to the objects of the rooms, each made in one place."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from retuner.adaptive.guard import SAME_GAINS, GuardSettings, Locks, change_factor
+from retuner.adaptive.guard import GuardSettings, Locks, change_factor
 from retuner.adaptive.supervision.admission import AdmissionSettings
 from retuner.adaptive.supervision.decision import Mode
 from retuner.adaptive.supervision.retuner import Retuner
@@ -15,10 +15,8 @@ from retuner.adaptive.trial.trial_settings import TrialSettings
 from retuner.adaptive.without_model.pattern_rule import PatternSettings
 from retuner.adaptive.without_model.proposal_without_model import WithoutModelSettings
 from retuner.config import Config
-from retuner.config.foreign import UNPROVED_ORDER
 from retuner.config.loading import signal_source
 from retuner.config.section import held_by
-from retuner.decisions.recorded_write_order import OrderOfWrites
 from retuner.drivers.bus.bus import LinkSettings
 from retuner.drivers.bus.link_settings import FramePort
 from retuner.drivers.controller.device_process import BusDevice
@@ -30,9 +28,7 @@ from retuner.drivers.plants.plant import Plant
 from retuner.drivers.plants.shared_plant import PlantPort
 from retuner.drivers.protocol.frames import GainBox
 from retuner.drivers.telemetry.signal_source import ScheduleInputs
-from retuner.ledger import Recorder
 from retuner.products import product
-from retuner.schedule.table import Lookup
 
 if TYPE_CHECKING:
     from retuner.drivers.profiles.foreign_device import ForeignDevice
@@ -212,17 +208,3 @@ def make_far_side(config: Config, plant: Plant, epoch: int = 1) -> BusDevice:
         return device
     far: BusDevice = product("foreign device").far_side(config, virtual_device_settings(config), plant)
     return far
-
-
-def prove_order(
-    config: Config, device: "CanDevice | ForeignDevice", retuner: Retuner, record: Recorder, now: Callable[[], float]
-) -> None:
-    """Have a device that takes a set in several messages ask the retuner for their order. now : time of the newest
-    sample.
-    """
-    foreign, units = config.foreign_device, retuner.settings.units
-    if foreign is not None and units is not None and not isinstance(device, CanDevice):
-        accepted = UNPROVED_ORDER in foreign.accept
-        device.choose_way = OrderOfWrites(retuner, units, record, now, unproved=accepted)
-        if not accepted and retuner.table.lookup is Lookup.HARD:
-            device.fits = lambda gains: any(change_factor(gains, one) <= SAME_GAINS for one in retuner.table.gains)

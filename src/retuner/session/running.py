@@ -11,21 +11,26 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from retuner.adaptive.guard import SAME_GAINS, change_factor
 from retuner.adaptive.setpoint_bumps.bump_settings import BumpSettings
 from retuner.adaptive.setpoint_bumps.loop_bumps import LoopBumps, hour_of_samples
 from retuner.adaptive.supervision.decision import Mode
 from retuner.config import Config
+from retuner.config.foreign import UNPROVED_ORDER
 from retuner.config.session_config import SessionConfig
 from retuner.decisions.decider import DecideHere, Decider
+from retuner.decisions.recorded_write_order import OrderOfWrites
 from retuner.decisions.warm_up import warm_up
 from retuner.decisions.worker import DecisionWorkers
 from retuner.drivers.bus.link_settings import FramePort
 from retuner.drivers.clock import Clock, MonotonicClock
+from retuner.drivers.host.can_device import CanDevice
 from retuner.drivers.host.can_settings import OWNERS
 from retuner.errors import LedgerError, UserError
 from retuner.ledger import Recorder, Row
 from retuner.products import product
-from retuner.session.assembly import device_settings, make_device, make_retuner, prove_order, retuner_settings
+from retuner.schedule.table import Lookup
+from retuner.session.assembly import device_settings, make_device, make_retuner, retuner_settings
 from retuner.session.bench_or_buses import POLLS_PER_SAMPLE, HostBuses, VirtualBench, before, live_buses, virtual_bench
 from retuner.session.ledger_rows import bump_left
 from retuner.session.loop_session import LoopSession
@@ -126,7 +131,14 @@ class _RunningLoop:
         player = ScenarioPlayer(self.config.scenario)
         session = LoopSession(device, retuner, player, self.record, self._run.observer.sampled, decider)
         self.session = self.record.loop = session
-        prove_order(self.config, device, retuner, self.record, lambda: session.writer.t_s)
+        foreign, units = self.config.foreign_device, retuner.settings.units
+        if foreign is not None and units is not None and not isinstance(device, CanDevice):
+            accepted = UNPROVED_ORDER in foreign.accept
+            device.choose_way = OrderOfWrites(
+                retuner, units, self.record, lambda: session.writer.t_s, unproved=accepted
+            )
+            if not accepted and retuner.table.lookup is Lookup.HARD:
+                device.fits = lambda gains: any(change_factor(gains, one) <= SAME_GAINS for one in retuner.table.gains)
         hour_of = local_hour if remember and speed == 1.0 else hour_of_samples
         bumps = LoopBumps(BumpSettings(**self.config.adaptation.bumps.model_dump()), retuner, hour_of)
         session.bumps = with_what_was_left(bumps, self._rows_before if remember else tuple, self._say)
