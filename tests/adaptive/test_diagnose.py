@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from effort import sized
-from test_coincident_loads import recorded
+from test_beside_a_load import recorded
 
 from retuner import diagnosing
 from retuner.adaptive.diagnosis.cause import Cause

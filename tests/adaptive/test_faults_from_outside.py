@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from test_coincident_loads import recorded
+from test_beside_a_load import recorded
 from test_diagnose import DT, GOOD, loop, times, to_and_fro
 
 import retuner

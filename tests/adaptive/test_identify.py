@@ -11,14 +11,19 @@ from effort import examples, sized
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from retuner.adaptive.choice.choice_settings import ChoiceSettings
+from retuner.adaptive.choice.expected_cost import Choosable, LoopSettings, outlooks
+from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.oscillation_online import SwingSettings
 from retuner.adaptive.diagnosis.second_opinion import last_two
 from retuner.adaptive.fit.dynamics import Dynamics, SamplingInstants
 from retuner.adaptive.fit.misfit import Misfit
 from retuner.adaptive.fit.record import Record
 from retuner.adaptive.fit.refine import EXACT, refine
+from retuner.adaptive.fit.structure import THETA
 from retuner.adaptive.identification.candidate import judged
-from retuner.adaptive.identification.identify import OPEN_LOOP, FitSettings, estimate_of, fitted, identify_window
+from retuner.adaptive.identification.fitted_curve import fitted_pv
+from retuner.adaptive.identification.identify import OPEN_LOOP, Fits, FitSettings, estimate_of, fitted, identify_window
 from retuner.adaptive.identification.loads import (
     _load_elsewhere,
     _merged,
@@ -27,10 +32,16 @@ from retuner.adaptive.identification.loads import (
     _without_load,
     _without_rounding,
 )
+from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.identification.structure_choice import asked_for, too_few
-from retuner.adaptive.process.model import ProcessType
+from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.signals.response import Ending, Response
 from retuner.adaptive.signals.sample import LoopSample, Window
+from retuner.api import _unless_pv_stands, identify, identify_record
+from retuner.commands.recorded.identify import described
+from retuner.commands.recorded.other_cause import contradiction
+from retuner.drivers.historian.loop_record import read_loop_record
+from retuner.schedule.gains import PidGains, SeriesGains
 
 FIRST = ProcessType.FOPDT
 
@@ -279,3 +290,155 @@ def test_the_last_two_responses_are_what_is_looked_at_again() -> None:
     assert 30 <= kept[0].t_s < 60.0  # the second of three
     restless = [sample._replace(pv=1.0) for sample in samples]
     assert last_two(restless, response, SwingSettings()) == restless
+
+
+# The drawn explanation of a record is the one that was fitted.
+
+
+@pytest.mark.parametrize("load", [0.0, 1.5])
+def test_fitted_pv_leaves_noise(load):
+    n, noise = 400, 0.02
+    rng = np.random.default_rng(4)
+    t = 1.7e9 + np.arange(float(n))  # a clock that counts from 1970
+    co = np.where((np.arange(n) // 130) % 2 == 0, 0.0, 1.0)
+    x, pv = 0.0, np.zeros(n)
+    for i in range(n):
+        pv[i] = 30 + x + noise * rng.normal()
+        x += (1 - np.exp(-1 / 15)) * (2 * co[max(i - 4, 0)] + (load if i >= 300 else 0.0) - x)
+    window = Window(t, np.full(n, 30.0), pv, co)
+    estimate = identify_window(window)
+    fitted = fitted_pv(window, estimate)
+    assert fitted.shape == (n,)
+    assert np.std(pv - fitted) == pytest.approx(noise, rel=0.15)
+    assert len(estimate.load_times_s) == (1 if load else 0)
+
+
+# What loads alone do not tell: the width of Ms, and a dead time at its least.
+
+
+SETTINGS = ChoiceSettings()
+
+
+def test_loads_alone_leave_more_room_below_the_limit_and_beyond_it() -> None:
+    process = ProcessModel(ProcessType.FOPDT, 1.0, 50.0, 0.0, 5.0)
+    sets = [Choosable(PidGains(4.0, 0.08)), Choosable(PidGains(5.5, 0.11))]
+    loop, models = LoopSettings(0.0), [Plausible(process, 0.0)]
+    sure, by_loads = (outlooks(models, sets, None, loop, s) for s in (SETTINGS, SETTINGS.by_loads()))
+    assert [one.ms for one in sure] == [one.ms for one in by_loads]
+    assert by_loads[0].cost - by_loads[1].cost < sure[0].cost - sure[1].cost
+
+
+def test_a_dead_time_at_its_least_is_not_known_to_a_few_percent() -> None:
+    rng, dt, n = np.random.default_rng(3), 0.6, 76
+    x, integral = np.zeros(5), 0.0
+    pv, co = np.zeros(n), np.zeros(n)
+    for i in range(n):
+        pv[i] = x[-1] + 0.006 * rng.standard_normal()
+        integral -= 0.12 * dt * pv[i]
+        co[i] = -0.5 * pv[i] + integral
+        for _ in range(60):
+            x = x + dt / 60 * (np.concatenate([[co[i] + (i >= 25)], x[:-1]]) - x)
+    alternatives = identify_window(Window(dt * np.arange(float(n)), np.zeros(n), pv, co), sign=1).alternatives
+    third = next(a.log for a in alternatives if a.log.type is ProcessType.TOPDT)
+    assert math.exp(third.x[THETA]) < 0.1
+    assert math.sqrt(float(third.p[THETA, THETA])) > 1.0
+
+
+# What identification may say beside its model: what stands shows none, a first step, a bound, a start in motion.
+
+
+PLANT = Path(__file__).parent.parent / "data" / "plant"
+
+
+def test_far_more_gain_from_one_event_is_a_first_step_with_the_aim_behind_it(loop: Callable) -> None:
+    window = loop(sp=1.0, kc=0.8, tau_i=40.0, noise=0.005, n=1500).run(1)
+    found = identify_record(window, gains=SeriesGains(0.8, 40.0).to_parallel())
+    assert found.settings.tuning.gains.kp == pytest.approx(3 * 0.8, rel=0.01)
+    assert found.aim.tuning.gains.kp == pytest.approx(5.0, rel=0.1)
+    assert "first step" in found.step_reason
+    assert any("final settings" in line for line in described(found))
+    assert found.to_dict()["aim"] is not None
+
+
+def test_what_is_in_reach_is_given_at_once(loop: Callable) -> None:
+    window = loop(sp=1.0, kc=2.5, tau_i=40.0, noise=0.005, n=1500).run(1)
+    found = identify_record(window, gains=SeriesGains(2.5, 40.0).to_parallel())
+    assert found.settings is not None
+    assert found.aim is None
+    assert found.step_reason == ""
+
+
+def test_a_model_of_a_valve_that_stands_is_not_believed(loop: Callable) -> None:
+    estimate = identify_window(loop(sp=1.0, noise=0.01).run(1))
+    assert estimate.identifiable
+    stands = read_loop_record((PLANT / "FIC20102_1016_12.csv",)).recording.window()
+    found = _unless_pv_stands(stands, None, replace(estimate, residual_std=0.5 * float(np.std(stands.pv))))
+    assert not found.identifiable
+    assert "does not move while co moves" in found.reason
+
+
+def test_where_diagnosis_sees_another_cause_the_command_says_so() -> None:
+    told = Diagnosis(Cause.STICTION, 0.8, {}, "a valve that sticks")
+    assert "STICTION" in contradiction(told)[0]
+    assert contradiction(None) == []
+    untold = " ".join(contradiction(replace(told, cause=Cause.UNKNOWN)))
+    assert "look at the record" in untold
+    assert "resolve this" not in untold  # nothing is named that could be resolved
+
+
+def manual(cut: int, steps: tuple[tuple[int, float], ...] = ((50, 1.0), (200, -0.5), (400, 0.6))) -> list[np.ndarray]:
+    """A lag of 40 s with gain 2 and 6 s of dead time in manual, the rows before `cut` not recorded."""
+    t, u, rng = np.arange(600.0), np.zeros(600), np.random.default_rng(5)
+    for at, value in steps:
+        u[at:] = value
+    pv = 2 * Dynamics(0.0, 1 / 40).held(SamplingInstants.of(t), u, 6.0) / 40 + 0.01 * rng.standard_normal(600)
+    return [x[cut:] for x in (t, np.zeros(600), pv + 30, u + 20)]
+
+
+@pytest.mark.parametrize("cut", [0, 50, 60, 120, 199, 215, 399])
+def test_a_manual_record_may_begin_in_motion_or_with_its_step(cut: int) -> None:
+    found = identify(*manual(cut), open_loop=True)
+    model, std = found.estimate.log.model(), found.estimate.log.std()
+    assert found.estimate.identifiable
+    assert model.k == pytest.approx(2.0, abs=max(0.03, 4 * std["k"]))
+    assert model.theta_s + model.tau2_s / 2 == pytest.approx(6.0, rel=0.1)
+
+
+def test_a_lag_without_visible_dead_time_gets_settings_from_the_bound(loop: Callable) -> None:
+    window = loop(tau=30.0, theta=0.4, kc=1.0, tau_i=30.0, dt=4.0, n=400, sp=1.0, at=160.0, noise=0.004).run(2)
+    found = identify_record(window)
+    assert found.estimate.identifiable, found.estimate.reason
+    assert "one sampling interval" in found.estimate.reason
+    gains = found.settings.tuning.gains
+    assert gains.kp == pytest.approx(30.0 / (2 * 6.0), rel=0.05)  # SIMC with a dead time of 4 s, and half a sample
+    assert found.settings.margins.ms < 1.8
+
+
+def test_the_freer_search_is_never_worse_than_the_one_without_coincident_loads(loop: Callable) -> None:
+    window = loop(sp=1.0, noise=0.01, load=0.4, at=45.0).run(7)
+    fits = Fits(window, (1,), FitSettings())
+    assert fits.free[0].criterion <= fits.barred[0].criterion
+
+
+def test_a_drifting_load_on_an_integrator_is_a_parabola_not_a_lag() -> None:
+    rng, rows = np.random.default_rng(2), []
+    x, integral, past = 0.0, 0.0, [0.0] * 5
+    for i in range(900):
+        sp, load = float(i >= 200), 0.004 * i
+        pv = x + 0.01 * rng.standard_normal()
+        integral += 0.05 * (sp - pv)
+        past.append(2.0 * (sp - pv) + integral)
+        rows.append((float(i), sp, pv, past[-1]))
+        x += 0.05 * (past.pop(0) + load)
+    found = identify_window(Window(*np.array(rows).T), 1)
+    model = found.log.model()
+    assert model.type == ProcessType.INTEGRATING
+    assert model.slope == pytest.approx(0.05, rel=0.03)
+    assert model.theta_s == pytest.approx(5.0, rel=0.15)
+
+
+def test_a_model_that_leaves_much_beside_what_it_explains_is_not_identified(loop: Callable) -> None:
+    window = loop(sp=1.0, noise=0.005, n=1200).run(3)
+    swing = 0.12 * np.sign(np.sin(window.t_s / 9.0)) * np.abs(np.sin(window.t_s / 31.0))
+    found = identify_window(Window(window.t_s, window.sp, window.pv + swing, window.co), 1)
+    assert not found.identifiable

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from test_coincident_loads import recorded
+from test_beside_a_load import recorded
 
 from retuner import api, diagnosing
 from retuner.adaptive.controller_settings.read_off import settings_in_force

@@ -6,13 +6,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from filterpy.kalman import KalmanFilter
 
+from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.identify import FitSettings, identify_window
+from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.region_model import update
-from retuner.adaptive.region_model.update import Agreement, TrackerSettings, update_region_model
-from retuner.adaptive.signals.sample import Window
+from retuner.adaptive.region_model.from_neighbours import BorrowingSettings, borrowed
+from retuner.adaptive.region_model.kalman import back_to_mean, moved_on, widened
+from retuner.adaptive.region_model.region_model import Drift, RegionModel, StructureModel
+from retuner.adaptive.region_model.update import Agreement, TrackerSettings, predicted, update_region_model
+from retuner.adaptive.schedule_design.record_stretches import BEND_STD, SLOPE_STD
+from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.adaptive.supervision.state_file import region_model_in, region_model_out
 from retuner.schedule.gains import PidGains
+from retuner.schedule.regions import Regions
 
 FIT, UP = FitSettings(), PidGains(2.0, 0.05)
 TRUTH = {"k": 1.0, "tau1": 50.0, "theta": 5.0}
@@ -96,3 +104,171 @@ def test_a_record_that_settles_nothing_alone_is_fitted_with_the_first(loop: Call
     assert learned.agreement is again.agreement is Agreement.AGREES
     np.testing.assert_array_equal(learned.region_model.log.x, again.region_model.log.x)
     assert len(learned.region_model.windows) == 2  # fitted as one, not folded into the other
+
+
+# A region without evidence borrows its neighbours' model, widened; its own first record decides.
+
+
+REGIONS = Regions("pv", "-", ("low", "middle", "high"), 0.0, (30.0, 70.0), 100.0)
+STILL = TrackerSettings(walk_per_day=0.0, walk_per_record=0.0, scatter=0.0)
+LENDING = BorrowingSettings()
+GAINS = PidGains(2.0, 0.05)
+
+
+def known(k: float, variance: float = 1e-4, *, sign: int = 1, records: int = 3) -> RegionModel:
+    log = LogModel(np.log([k / 50.0, 5.0, 50.0]), variance * np.eye(3), sign)
+    slope = LogModel(np.log([k / 50.0, 5.0]), variance * np.eye(2), sign, ProcessType.INTEGRATING)
+    return RegionModel((StructureModel(log, -500.0), StructureModel(slope, -100.0)), records, 0.0)
+
+
+def ask(region_models: dict[int, RegionModel], region: int = 1, tracker: TrackerSettings = STILL) -> RegionModel | None:
+    return borrowed(region_models, region, REGIONS, 0.0, 1, LENDING, tracker)
+
+
+def test_one_neighbour_lends_its_model_as_uncertain_as_a_curve_through_it() -> None:
+    found = ask({0: known(2.0)})
+    assert found.records == 0
+    assert "low" in found.reason
+    np.testing.assert_allclose(found.log.x, known(2.0).log.x)
+    between = found.log.p[0, 0]
+    bent = (SLOPE_STD * 0.7) ** 2 + 4 * BEND_STD**2  # 0.7 of half the range away
+    assert (SLOPE_STD * 0.7) ** 2 / 3 < between < bent  # or a line, or constant, each as likely
+    np.testing.assert_allclose(found.log.p, between * np.eye(3), rtol=1e-6, atol=1e-9)
+    assert [k.log.type for k in found.known] == [ProcessType.FOPDT, ProcessType.INTEGRATING]
+    assert found.known[1].evidence - found.known[0].evidence == pytest.approx(LENDING.most_lead)
+
+
+def test_two_neighbours_that_differ_leave_the_region_between_them_open() -> None:
+    found, same = ask({0: known(1.0), 2: known(4.0)}), ask({0: known(2.0), 2: known(2.0)})
+    assert same is not None
+    assert found.log.model().k == pytest.approx(2.0)
+    between = found.log.p[0, 0]
+    assert between < ask({0: known(2.0)}).log.p[0, 0]  # between two it is known better than beside one
+    assert 0.2**2 < same.log.p[0, 0] < between  # equal ones do not prove that nothing lies between them
+
+
+def test_what_is_beyond_follows_the_trend_of_the_others() -> None:
+    regions = replace(REGIONS, names=("a", "b", "c", "d"), bounds=(25.0, 50.0, 75.0))
+    rising = {i: known(k) for i, k in enumerate((1.0, 1.5, 2.25))}
+    found = borrowed(rising, 3, regions, 0.0, 1, LENDING, STILL)
+    assert 2.25 * 1.2 < found.log.model().k < 2.25 * 1.6
+
+
+def test_nothing_is_lent_on_credit_or_the_other_way_round() -> None:
+    assert ask({0: known(2.0, records=0)}) is None
+    assert ask({0: known(2.0, sign=-1)}) is None
+    assert ask({0: replace(known(2.0), identifiable=False)}) is None
+    assert ask({1: known(2.0)}) is None
+    assert ask({}) is None
+
+
+def test_records_of_its_own_that_settle_nothing_narrow_what_is_lent() -> None:
+    lent = {0: known(1.0), 2: known(4.0)}
+    alone = borrowed(lent, 1, REGIONS, 0.0, 1, LENDING, STILL)
+    own = replace(known(3.0, 0.1), identifiable=False)
+    together = borrowed(lent, 1, REGIONS, 0.0, 1, LENDING, STILL, own)
+    assert alone.log.model().k < together.log.model().k < 3.0
+    assert together.log.p[0, 0] < min(alone.log.p[0, 0], 0.1)
+
+
+def test_age_opens_what_is_lent() -> None:
+    walk = replace(STILL, walk_per_day=0.1)
+    fresh = borrowed({0: known(2.0)}, 1, REGIONS, 0.0, 1, LENDING, walk)
+    old = borrowed({0: known(2.0)}, 1, REGIONS, 86400.0, 1, LENDING, walk)
+    more = np.diag(old.log.p) - np.diag(fresh.log.p)
+    assert np.all((more > 0.005) & (more < 0.0101))
+
+
+def test_the_proof_sees_the_whole_spread() -> None:
+    found = ask({0: known(2.0)})
+    assert found is not None
+    gains = [p.model.k / p.model.tau1_s for p in found.plausible]
+    assert max(gains) > 1.9 * gains[0]
+    assert min(gains) < gains[0] / 1.9
+
+
+def test_the_first_record_of_the_region_agrees_or_stands_alone(loop: Callable) -> None:
+    prior = ask({0: known(1.3)})
+    window = loop(noise=0.02, sp=1.0, kc=2.0).run(seed=1)
+    agreed = update_region_model(prior, window, GAINS, STILL, FitSettings())
+    assert agreed.agreement == Agreement.AGREES
+    assert agreed.region_model.records == 1
+    assert agreed.region_model.log.model().k == pytest.approx(1.0, rel=0.05)
+    alone = update_region_model(ask({0: known(200.0, 1e-6)}), window, GAINS, STILL, FitSettings())
+    assert alone.agreement == Agreement.FIRST
+    assert alone.region_model.log.model().k == pytest.approx(1.0, rel=0.05)
+
+
+# What is known of a process that moves in one direction: the filter learns the drift, and does not stay behind.
+
+
+D = 3
+WALK, STD, KEEPS, SEEN = 0.03, 0.02, 0.95, 0.04
+"""Standard deviations of the walk, of the drift at first, its share left after a record, and of a record."""
+BEGIN = StructureModel(LogModel(np.array([-4.0, 1.6, 3.9]), 0.06**2 * np.eye(D), 1), 0.0)
+
+
+def taught(known: StructureModel, seen: FloatArray, *, scatter: float = 0.0, std: float = STD) -> StructureModel:
+    """One record later, which says `seen` of its process."""
+    mean = moved_on(known, WALK**2, std, KEEPS)
+    prior = widened(mean.log, scatter**2)
+    gain = prior.p @ np.linalg.inv(prior.p + SEEN**2 * np.eye(D))
+    posterior = replace(prior, x=prior.x + gain @ (seen - prior.x), p=prior.p - gain @ prior.p)
+    return back_to_mean(mean, prior, posterior)
+
+
+def test_without_scatter_it_is_the_filter_of_the_textbooks() -> None:
+    """Harvey 1989, local linear trend: state (parameters, drift), of which a record shows the first."""
+    rng, known = np.random.default_rng(3), BEGIN
+    book = KalmanFilter(dim_x=2 * D, dim_z=D)
+    book.x = np.concatenate([BEGIN.log.x, np.zeros(D)]).reshape(2 * D, 1)
+    book.P = np.diag([0.06**2] * D + [STD**2] * D)
+    one = np.eye(D)
+    book.F = np.block([[one, one], [0 * one, KEEPS * one]])
+    book.Q = np.diag([WALK**2] * D + [(1 - KEEPS**2) * STD**2] * D)
+    book.H = np.hstack([one, 0 * one])
+    for _ in range(12):
+        seen = known.log.x + rng.normal(0.0, 0.1, D)
+        book.predict()
+        book.update(seen.reshape(D, 1), R=SEEN**2 * one)
+        known = taught(known, seen)
+    np.testing.assert_allclose(np.concatenate([known.log.x, known.drift.v]), book.x[:, 0], atol=1e-9)
+    np.testing.assert_allclose(known.log.p, book.P[:D, :D], atol=1e-9)
+    np.testing.assert_allclose(known.drift.p, book.P[D:, D:], atol=1e-9)
+    np.testing.assert_allclose(known.drift.along, book.P[:D, D:], atol=1e-9)
+
+
+def behind(std: float) -> float:
+    """Of a gain that grows by 4 % a record, after 15 records: how much too small it is held for, as a logarithm."""
+    known = BEGIN
+    for i in range(1, 16):
+        known = taught(known, BEGIN.log.x + np.array([0.039 * i, 0.0, 0.0]), scatter=0.06, std=std)
+    assert np.max(np.abs(known.log.x[1:] - BEGIN.log.x[1:])) < 1e-9, "nothing else moved"
+    return float(BEGIN.log.x[0] + 0.039 * 15 - known.log.x[0])
+
+
+def test_a_gain_that_grows_steadily_is_followed() -> None:
+    assert behind(1e-9) > 0.07
+    assert abs(behind(STD)) < 0.02
+
+
+def test_a_drift_is_foreseen_remembered_and_fades() -> None:
+    drift = Drift(np.array([0.04, 0.0, 0.0]), 1e-4 * np.eye(D), np.zeros((D, D)))
+    model = RegionModel((replace(BEGIN, drift=drift),), 5, 0.0)
+    again = region_model_in(region_model_out(model))
+    settings = TrackerSettings()
+    for one in (model, again):
+        assert predicted(one, 0.0, settings).x[0] == pytest.approx(BEGIN.log.x[0] + 0.04)
+    later = moved_on(model.known[0], 0.0, settings.drift_per_record, 0.5)
+    assert later.drift.v[0] == pytest.approx(0.02)
+    body = json.loads(json.dumps(region_model_out(model)))
+    del body["known"][0]["drift"]
+    assert region_model_in(body).known[0].drift is None, "a memory of before has none"
+
+
+@pytest.mark.parametrize(
+    "broken", [(np.zeros(3), np.eye(2), np.zeros((3, 3))), (np.array([np.nan, 0, 0]), np.eye(3), np.zeros((3, 3)))]
+)
+def test_a_broken_drift_is_refused(broken: tuple[FloatArray, FloatArray, FloatArray]) -> None:
+    with pytest.raises(ValueError, match="drift"):
+        Drift(*broken)

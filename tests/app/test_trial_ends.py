@@ -1,16 +1,25 @@
 """Ends of a trial that look like the end and are not: what the controller runs a while after the host is content."""
 
-from collections.abc import Callable
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import can
 import pytest
+from command_line import printed
+from two_regions import two_regions
 from wire import GOOD, OTHER, PROMISE, Wire, is_telemetry, wires
 
 from retuner.adaptive.orders.operator_orders import revert
 from retuner.adaptive.supervision.decision import Outcome
+from retuner.adaptive.supervision.state_file import remember, restore
 from retuner.adaptive.trial.phase import TrialPhase
+from retuner.cli import main
+from retuner.drivers.controller.gain_memory import GainSet
+from retuner.drivers.controller.virtual_device import VirtualDevice
 from retuner.drivers.protocol.checksum import to_wire
 from retuner.drivers.protocol.frames import Ack, GainBox, Kind, Reason
+from retuner.ledger import LedgerReader
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import Lookup
 from retuner.session.running import to_the_end
@@ -179,3 +188,118 @@ def test_a_defect_that_stays_is_told_as_what_is_open(make_wire: Callable[..., Wi
     with pytest.raises(OSError, match="on fire"):
         to_the_end(wire.session, once)
     assert wire.kinds[-1] == "unrestored"
+
+
+# A run that ends in mid-trial: the change is taken back, told everywhere, and a replay decides it again.
+
+
+SHORT = two_regions("auto", 50.0, "at_s = 0.0, sp = 2.0", "at_s = 20.0, sp = 3.0")
+"""A sluggish loop: its first response ends three seconds before the run does."""
+
+
+@pytest.mark.slow
+@pytest.mark.uncounted
+def test_an_undecided_change_that_is_robust_stays_at_the_end_and_is_decided_again_by_a_replay(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "short.toml").write_text(SHORT, encoding="utf-8")
+    assert "Session ended during the trial; trial gains kept" in printed("run", "short.toml", "--no-compare")
+    with LedgerReader(tmp_path / "out" / "ledger.sqlite") as reader:
+        rows = [(row.kind, json.loads(row.text)) for row in reader.rows()]
+        assert reader.verify().ok
+    bodies = dict(rows)
+    told = [kind for kind, _ in rows if kind in {"trial", "abort", "restore", "restored"}]
+    assert told == ["trial", "abort", "restored"]
+    assert bodies["restored"]["gains"] == bodies["trial"]["gains"]
+    assert bodies["decision"]["code"] == "kept_stopped"
+    assert bodies["decision"]["gains_after"] == bodies["trial"]["gains"]
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["scores"][0]["after"] != summary["scores"][0]["before"]
+    assert "identical" in printed("replay", "out")
+
+
+@pytest.mark.parametrize("back", [pytest.param(False, marks=[pytest.mark.slow, pytest.mark.uncounted]), True])
+def test_a_turned_action_is_an_alarm_in_the_run_and_is_decided_again_by_a_replay(tmp_path, monkeypatch, capsys, back):
+    """Someone turns the action at the controller in the middle of a trial; and back again, or not."""
+    step = VirtualDevice.step
+
+    def turns(device: VirtualDevice, dt_s: float | None = None) -> list[can.Message]:
+        if device.sample == 480 or (back and device.sample == 490):
+            pages, gains = device.pages, device.pages.running.gains
+            pages.latest += 1
+            pages.running = pages.confirmed = GainSet(pages.latest, PidGains(-gains.kp, -gains.ki, -gains.kd))
+        return step(device, dt_s)
+
+    monkeypatch.setattr(VirtualDevice, "step", turns)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "short.toml").write_text(SHORT, encoding="utf-8")
+    assert main(["run", "short.toml", "--no-compare"]) == (0 if back else 2)
+    told = capsys.readouterr()
+    assert "other sign" in told.out
+    assert back or "other sign" in told.err
+    with LedgerReader(tmp_path / "out" / "ledger.sqlite") as reader:
+        rows = [(row.kind, row.body) for row in reader.rows()]
+    turned = [body["turned"] for kind, body in rows if kind == "action"]
+    assert turned == ([True, False] if back else [True])
+    after = [kind for kind, _ in rows[[kind for kind, _ in rows].index("action") :]]
+    assert back or "intent" not in after
+    assert "identical" in printed("replay", "out")
+
+
+# A session that dies in the middle of a write: the next one looks what runs before it writes anything.
+
+
+UNSTABLE = PidGains(6 * GOOD.kp, 6 * GOOD.ki)
+
+
+@pytest.fixture
+def died() -> Iterator[Wire]:
+    """Its memory was written when the cure had been decided; what came after it is lost."""
+    wire = Wire(low=UNSTABLE)
+    wire.know()
+    wire.ask(GOOD)
+    yield wire
+    wire.close()
+
+
+def begin_again(wire: Wire, memory: dict[str, object]) -> None:
+    """The next session, by its retuner: nothing else of the one before is known."""
+    retuner = restore(json.loads(json.dumps(memory)), wire.session.retuner.settings)
+    wire.session.retuner = wire.session.writer.retuner = retuner
+    wire.session.writer._pending = None
+    assert retuner.trials.phase(0) is P.WRITING
+
+
+def test_a_cure_that_came_through_is_on_trial_again(died: Wire) -> None:
+    memory = remember(died.session.retuner)
+    died.until(P.TRIAL)
+    assert died.runs == to_wire(GOOD)
+    begin_again(died, memory)
+    for _ in range(20):
+        died.run(1)
+        assert died.runs == to_wire(GOOD)
+    assert died.trials.phase(0) is P.TRIAL
+    assert to_wire(died.session.table.gains_of(0)) == to_wire(GOOD)
+
+
+def test_one_that_came_through_after_it_was_given_up_stays(died: Wire) -> None:
+    memory = remember(died.session.retuner)
+    died.until(P.TRIAL)
+    begin_again(died, memory)
+    died.heard = lambda message: False  # noqa: ARG005
+    died.run(8)
+    died.heard = lambda message: True  # noqa: ARG005
+    died.run(60)
+    assert died.runs == to_wire(GOOD)
+    assert died.trials.phase(0) is P.TRIAL
+
+
+def test_what_did_not_come_through_is_told_and_nothing_is_written(died: Wire) -> None:
+    memory = remember(died.session.retuner)
+    died.asked.clear()
+    begin_again(died, memory)
+    died.run(20)
+    assert died.runs == to_wire(UNSTABLE)
+    assert died.trials.phase(0) is P.IDLE
+    assert "in the middle of it" in str(dict(died.rows)["dropped"]["reason"])

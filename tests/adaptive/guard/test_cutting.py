@@ -1,20 +1,24 @@
 """Locks, absolute limits, the commissioned set and the sampling time: one parameter is cut, and it is said."""
 
 import math
-from dataclasses import replace
+from dataclasses import astuple, replace
 
 import pytest
-from guard_cases import GAINS, SETTINGS, known, request, times
+from guard_cases import GAINS, SAMPLED, SETTINGS, known, request, times
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from retuner.adaptive.guard import KC_ONLY, NO_DERIVATIVE, NO_LOCKS, ChangeRequest, GuardSettings, Locks, Ruling, prove
+from retuner.adaptive.guard.checks import Check, limit_checks
 from retuner.adaptive.guard.goal_within_limits import Goal, calmer, goals, without_short_derivative
+from retuner.adaptive.guard.proof import STEPS, slower_settings
 from retuner.adaptive.guard.step_size import extent, less_of_everything
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.process.model import ProcessModel, ProcessType
-from retuner.adaptive.rules.rule import Tuning
+from retuner.adaptive.rules.rule import ControllerKind, Tuning
+from retuner.adaptive.rules.simc import simc
 from retuner.schedule.gains import IdealGains, PidGains
+from retuner.schedule.vendor_units import Quantity, StorableNumbers, VendorGain, VendorUnits
 
 OLD = IdealGains(1.0, 20.0).to_parallel()
 
@@ -275,3 +279,115 @@ def test_a_step_on_the_way_keeps_a_derivative_that_a_series_form_has(kd: float, 
     longer = PidGains(1.0, 0.5, 0.8)  # no series form had it before
     asked = ChangeRequest(longer, longer, Tuning("simc", "series", longer), (), 0.01)
     assert without_short_derivative(PidGains(1.0, 1.0, 0.8), asked, GuardSettings()).kd == pytest.approx(0.4)
+
+
+# Limits in absolute numbers: each is checked where somebody has set it, and only there.
+
+
+PID = IdealGains(GAINS.kp, GAINS.kp / GAINS.ki, 4.0).to_parallel()
+
+
+def checks(gains: PidGains, settings: GuardSettings, in_force: PidGains = GAINS) -> dict[str, Check]:
+    return {check.name: check for check in limit_checks(request(in_force), gains, settings)}
+
+
+@pytest.mark.parametrize(
+    ("name", "limits", "key"),
+    [
+        ("kc_min", {"kc_min": 0.01}, 0.01),
+        ("kc_max", {"kc_max": 99.0}, 99.0),
+        ("tau_i_max", {"tau_i_max_s": 300.0}, 300.0),
+        ("tau_d_max", {"tau_d_max_s": 30.0}, 30.0),
+    ],
+)
+def test_a_limit_is_checked_where_it_is_set(name: str, limits: dict[str, float], key: float) -> None:
+    assert name not in checks(PID, GuardSettings(), PID)
+    assert checks(PID, GuardSettings(**limits), PID)[name].limit == key
+
+
+def test_a_derivative_may_fall_to_nothing_without_leaving_the_commissioned_range() -> None:
+    small = IdealGains(GAINS.kp, GAINS.kp / GAINS.ki, 0.5).to_parallel()
+    settings = replace(GuardSettings(), tau_d_max_s=math.inf)
+    total = checks(small, settings, PID)["total_tau_d"]
+    assert total.value == pytest.approx(8.0)
+    assert total.limit == settings.total_ratio_max
+    up = checks(PID, settings, small)["total_tau_d"]  # no shortest derivative time gives more room upwards
+    assert (up.limit, up.value) == (settings.total_ratio_max, pytest.approx(8.0))
+
+
+# What the guard lets through is what the controller will hold: rounded, and proved as it is rounded.
+
+
+def units(step: float, high: float = 255.0) -> VendorUnits:
+    """Whole numbers: kp in this step, Tn in seconds."""
+    return VendorUnits(
+        (
+            VendorGain(Quantity.KP, step, StorableNumbers(1.0, high, 1.0)),
+            VendorGain(Quantity.TN, 1.0, StorableNumbers(0.0, 10000.0, 1.0), message=1, off=0.0),
+        )
+    )
+
+
+@pytest.mark.parametrize("step", [0.3, 0.1, 0.037, 0.001])
+@pytest.mark.parametrize("factor", [0.3, 0.6, 1.9])
+def test_accepted_gains_are_those_that_are_held(step: float, factor: float) -> None:
+    held = units(step, 100_000.0)
+    in_force = held.rounded(times(factor, factor))
+    verdict = prove(replace(request(in_force), units=held), SETTINGS)
+    if verdict.gains is not None:
+        assert held.rounded(verdict.gains) == verdict.gains
+        assert all(check.passed for check in verdict.checks)
+        assert verdict.ms_worst <= SETTINGS.ms_worst
+    if step <= 0.037:
+        assert verdict.accepted
+
+
+def test_what_cannot_be_held_is_refused() -> None:
+    held = units(0.1, high=round(0.4 * GAINS.kp / 0.1))  # more gain than is in force cannot be held
+    in_force = held.rounded(times(0.4, 0.4))
+    assert prove(request(in_force), SETTINGS).accepted
+    assert not prove(replace(request(in_force), units=held), SETTINGS).accepted
+
+
+# The first remedy: the rule's own settings at larger tau_c, as the same kind of controller.
+
+
+def test_equal_ratios_up_to_the_largest_tau_c() -> None:
+    found = slower_settings(request(GAINS), SETTINGS)
+    assert [t.tau_c_s for t in found] == pytest.approx([5.5 * 1.3 ** (i / STEPS) for i in (1, 2, 3)])
+    assert all(astuple(t.gains) == pytest.approx(astuple(simc(SAMPLED, t.tau_c_s).gains)) for t in found)
+    halfway = simc(SAMPLED, 5.5 * 1.2)
+    rest = slower_settings(request(GAINS, halfway), SETTINGS)
+    assert rest[-1].tau_c_s == pytest.approx(5.5 * 1.3)
+    assert slower_settings(request(GAINS, simc(SAMPLED, 5.5 * 1.4)), SETTINGS) == ()
+
+
+def test_a_pid_proposal_is_slowed_as_pid_with_its_own_dead_time() -> None:
+    model = ProcessModel(ProcessType.SOPDT, 2.0, 50.0, 20.0, 5.0)
+    later = replace(model, theta_s=5.5)
+    wanted = simc(later, None, ControllerKind.PID)
+    found = slower_settings(request(GAINS, wanted, known(0.02, model)), SETTINGS)
+    assert found[-1].tau_c_s == pytest.approx(5.5 * 1.3)
+    slowest = simc(later, 5.5 * 1.3, ControllerKind.PID).gains
+    assert astuple(found[-1].gains) == pytest.approx(astuple(slowest))
+    assert found[-1].gains.kd != 0.0
+    plain = slower_settings(request(GAINS, simc(later), known(0.02, model)), SETTINGS)
+    assert plain[-1].tau_c_s == pytest.approx((5.5 + 10.0) * 1.3)
+    assert all(t.gains.kd == 0.0 for t in plain)
+
+
+def test_a_third_lag_is_dead_time_of_a_slower_pid_proposal_by_the_half_rule() -> None:
+    model = ProcessModel(ProcessType.TOPDT, 2.0, 50.0, 20.0, 5.0, tau3_s=8.0)
+    wanted = simc(replace(model, theta_s=5.5), None, ControllerKind.PID)
+    assert wanted.tau_c_s == pytest.approx(5.5 + 8.0 / 2)
+    found = slower_settings(request(GAINS, wanted, known(0.02, model)), SETTINGS)
+    assert found[-1].tau_c_s == pytest.approx(1.3 * wanted.tau_c_s)
+
+
+def test_what_a_rule_brings_is_proved_like_any_other() -> None:
+    hot = Tuning("amigo", "parallel", times(2.0, 2.0), 3.0)
+    calm = Tuning("amigo", "parallel", times(0.9, 0.9), 9.0)
+    verdict = prove(replace(request(times(0.6, 0.6), hot), slower=(calm,)), SETTINGS)
+    assert verdict.gains == calm.gains
+    assert verdict.tau_c_s == 9.0
+    assert prove(request(times(0.6, 0.6), hot), GuardSettings(tau_c_max_ratio=3.0)).tau_c_s == 3.0

@@ -1,7 +1,9 @@
 """The fewest sets over places whose best gains are known, as steps and as interpolation, and the loop in motion."""
 
 from itertools import pairwise
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from effort import examples
 from hypothesis import given, settings
@@ -9,14 +11,17 @@ from hypothesis import strategies as st
 
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.simc import simc
+from retuner.adaptive.schedule_choice import schedule_from_records
 from retuner.adaptive.schedule_choice.borders_of_one_variable import (
     Layout,
     borders_of_fewest_sets,
     knots_of_fewest_sets,
     mean_of,
 )
-from retuner.adaptive.schedule_choice.schedule_from_records import _within
-from retuner.adaptive.schedule_design.places import DesignLimits, Place, iae
+from retuner.adaptive.schedule_choice.schedule_from_records import _counted, _refused, _within
+from retuner.adaptive.schedule_design.places import DesignLimits, Place, iae, place_at
+from retuner.adaptive.schedule_design.record_stretches import cut, signals_of, without_gaps
+from retuner.adaptive.signals.sample import Window
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import Lookup
 
@@ -104,3 +109,93 @@ def test_the_next_experiment_stays_within_the_limits_of_the_output() -> None:
     assert _within(10.0, 95.0, (0.0, 100.0), 1.0) == -10.0
     assert _within(10.0, 95.0, (None, 100.0), -1.0) == -10.0
     assert _within(200.0, 40.0, (0.0, 100.0), -1.0) == pytest.approx(48.0)
+
+
+# What is not explained or not known gives no settings: seen on a heat exchanger whose flow moves its temperature.
+
+
+def curves(std_theta):
+    """k = 1 / s, a dead time of 0.6 s beside a second lag of 27 s, known to this."""
+    return SimpleNamespace(
+        ln=lambda _: np.log([[0.0055, 0.6, 88.0, 27.0]]),
+        ln_covariance=lambda _: np.diag([0.05, std_theta, 0.05, 0.08]) ** 2,
+        form=SimpleNamespace(sign=1),
+    )
+
+
+def test_a_small_dead_time_that_may_be_hours_makes_no_place_known():
+    assert place_at(curves(0.1), 1.0, 1.5, DesignLimits()).known
+    assert not place_at(curves(3.0), 1.0, 1.5, DesignLimits()).known
+
+
+def known(n):
+    return [SimpleNamespace(x=float(i), known=i < n, gain_std=0.3) for i in range(25)]
+
+
+def refused(moved=10.0, rows=2, size=1.0, differences=(0.25, 0.06, 0.12), places=25):
+    """Why no sets follow from records in which pv moves by so much, and how many stretches they have."""
+    t, rng = np.arange(200.0), np.random.default_rng(1)
+    pv = 20 + rng.normal(0.0, 0.1, 200) + moved * (t > 100)
+    stretches = cut(signals_of(Window(t, np.full(200, 20.0), pv, 30 - (pv - 20)), pv, 1))
+    joint = SimpleNamespace(loads=[(1,) * rows] * len(stretches), stretches=stretches)
+    now, ln = SimpleNamespace(sizes=[np.full(rows, size)] * len(stretches)), np.log([[0.1, 1.0, 10.0]])
+    found = SimpleNamespace(joint=joint, now=now, ln=lambda *_: ln, differences=differences)
+    five = SimpleNamespace(span=lambda: (0.0, 4.0))  # places that the records visit
+    return _refused(SimpleNamespace(curves=found, one=five, two=None), known(places)), len(stretches)
+
+
+def test_records_that_need_two_load_steps_a_stretch_are_not_explained():
+    assert refused()[0] == ""
+    reason, stretches = refused(rows=4)
+    assert f"not explained: {2 * stretches} load steps" in reason
+    assert refused(rows=4, size=0.1)[0] == "", "what moves pv by 2 % of its travel mends a form, it is no load"
+
+
+def test_stretches_that_differ_at_one_place_give_no_settings():
+    assert "slope gain differs by a factor of 1.6" in refused(differences=(0.5, 0.03, 0.06))[0]
+
+
+def test_a_process_that_needs_too_many_sets_gets_slower_ones(monkeypatch):
+    places = [
+        place_at(
+            SimpleNamespace(
+                ln=lambda _, b=b: np.array([[b, 0.0, 2.0]]),
+                ln_covariance=lambda _: np.diag([0.02, 0.02, 0.02]) ** 2,
+                form=SimpleNamespace(sign=1),
+            ),
+            x,
+            0.1,
+            DesignLimits(),
+        )
+        for x, b in ((0.0, 0.0), (1.0, 0.25), (2.0, 0.5))
+    ]
+    monkeypatch.setattr(schedule_from_records, "MOST_SETS", 1)
+
+    layout, j = schedule_from_records._affordable(places, DesignLimits(), "hard")
+
+    assert layout is not None
+    assert j > DesignLimits().j
+    assert all(place.judged(gains).j <= j for place in places for gains in layout.sets)
+
+
+def test_records_in_which_pv_does_not_leave_its_noise_tell_nothing():
+    assert "tell nothing" in refused(moved=0.0)[0]
+    assert refused(moved=1.0, size=0.001)[0] == ""
+
+
+def test_a_gap_in_a_record_parts_it_and_nothing_is_made_up_in_it():
+    t = np.concatenate([np.arange(100.0), np.arange(900.0, 1000.0), [5000.0, 5001.0]])
+    window = Window(t, t, t, t)
+
+    pieces = without_gaps(window, t)
+
+    assert [(w.t_s[0], w.t_s[-1], len(x)) for w, x in pieces] == [(0.0, 99.0, 100), (900.0, 999.0, 100)]
+    assert without_gaps(pieces[0][0], t[:100])[0][0] is pieces[0][0]
+
+
+def test_one_known_place_in_five_visited_ones_gives_no_settings():
+    assert "at 1 of the 5 places that the records visit" in refused(places=1)[0]
+    assert "nowhere" in refused(places=0)[0]
+    assert refused(places=3)[0] == "", "what was not visited asks for nothing"
+    assert "the 3 of 25 places that are known" in _counted(1, "hard", known(3), 1.25, 1.25)
+    assert "every place" in _counted(1, "hard", known(25), 1.25, 1.25)
