@@ -198,7 +198,8 @@ class ResponseFinder:
             if self._is_placed(sample):
                 self._restart(sample)
             return None
-        if not 0.0 < t_s - samples[-1][0] <= self._gap_s or mode != AUTO:
+        last = samples[-1]
+        if mode != AUTO or last[4] != AUTO or not 0.0 < t_s - last[0] <= self._gap_s:  # manual is no part of a record
             cut = sample.mode == AUTO and sample.t_s - self._samples[-1].t_s > self._gap_s and not self.at_rest
             self._restart(sample)
             if not cut:

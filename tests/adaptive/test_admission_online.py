@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from retuner.adaptive.signals.sample import LoopSample
+from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.supervision.admission import Ground
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
 from retuner.adaptive.supervision.retuner import Retuner
@@ -87,7 +87,9 @@ def test_the_slave_of_a_cascade_is_not_learned_from_while_its_master_moves() -> 
     assert not retuner.region_models
 
 
-def test_the_same_loop_without_a_fault_teaches() -> None:
-    retuner, decisions = heard(lambda s: s)
+@pytest.mark.parametrize("manual", [0, 1, STEP_AT - 8])
+def test_a_step_made_soon_after_manual_teaches(manual: int) -> None:
+    """The last sample in manual is no part of the record that begins then."""
+    retuner, decisions = heard(lambda s: s._replace(mode=LoopMode(s.t_s >= manual)))
     assert 0 in retuner.region_models
     assert decisions[0].estimate is not None
