@@ -19,8 +19,7 @@ from retuner.cli import main
 from retuner.config.described import vendor_units
 from retuner.config.loading import load_config, load_session
 from retuner.drivers.protocol.checksum import to_wire
-from retuner.gain_export.numbers import csv_table, dbc_table, numbers_of
-from retuner.gain_export.programs import c_header, structured_text
+from retuner.gain_export.numbers import c_header, csv_table, dbc_table, numbers_of, structured_text
 from retuner.schedule.document import to_toml
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Axis, Regions, choose, enter, values

@@ -10,8 +10,7 @@ import typer
 from retuner.commands.options import ActionOption, Controller, PvSpan, controller_units
 from retuner.errors import UserError, user_input
 from retuner.files import write_whole
-from retuner.gain_export.numbers import csv_table, dbc_table, identifier, numbers_of
-from retuner.gain_export.programs import c_header, structured_text
+from retuner.gain_export.numbers import c_header, csv_table, dbc_table, identifier, numbers_of, structured_text
 from retuner.schedule.document import from_toml
 from retuner.schedule.table import GainTable
 

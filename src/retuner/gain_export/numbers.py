@@ -3,6 +3,7 @@
 import math
 import re
 from array import array
+from collections.abc import Iterable
 
 from retuner.schedule.controller_units import ControllerUnits
 from retuner.schedule.gains import PidGains, in_form
@@ -10,6 +11,7 @@ from retuner.schedule.late_dataclass import dataclass
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GAIN_NAMES, GainTable, Lookup
 from retuner.schedule.vendor_units import SINGLE_MAX
+from retuner.templates import rendered
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,3 +167,25 @@ FRAME_FORMATS = (
     "reserved", "reserved", "reserved", "reserved", "reserved", "StandardCAN_FD", "ExtendedCAN_FD",
 )  # fmt: skip
 """What Vector's attribute of a message's frame format may be, in its order."""
+
+
+# A gain table as a program: one C99 header, without allocation or libraries, or an IEC 61131-3 function block.
+#
+# Their text stands in templates/gains.h.jinja and gains.st.jinja. Both do the same operations in the same order as
+# schedule/regions.py and schedule/table.py, in double, and round the gains to float at the end: so firmware and host
+# have the same gains, bit for bit in float32 (but compile C without contraction: -ffp-contract=off). Where a double is
+# too dear, RETUNER_REAL may be float; then the last bits differ.
+
+
+def c_header(table: TableNumbers, source: str) -> str:
+    """The text of the header; source : where the table comes from, for people."""
+    return rendered("gains.h.jinja", t=table, source=source, comment=comment, listed=_listed)
+
+
+def structured_text(table: TableNumbers, source: str) -> str:
+    """The text of the function block; source : where the table comes from, for people."""
+    return rendered("gains.st.jinja", t=table, source=source, comment=comment, listed=_listed)
+
+
+def _listed(values: Iterable[float]) -> str:
+    return ", ".join(repr(float(finite(value))) for value in values)

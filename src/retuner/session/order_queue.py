@@ -289,18 +289,17 @@ class OrderDesk:
         if before is not None:
             past = before.shown.proposals.get(digest)
             if past is None:
-                return {"proposal": None}, f"no proposal {digest[:8]} in that session"
+                return {"proposal": None}, f"no proposal {digest[:SHORT]} in that session"
             reason = superseded(before.shown.successor(past)) or self._superseded(past)
             return {"region": past.region, "proposal": past.to_dict()}, reason
         decision = next((d for d in self._decisions if d.gains_after is not None and d.digest() == digest), None)
         if decision is None:
-            return {"proposal": None}, f"no proposal {digest[:8]} in this session"
+            return {"proposal": None}, f"no proposal {digest[:SHORT]} in this session"
         proposal = Proposal.of(decision)
         if digest in self._rejected:
             return {"region": decision.region, "proposal": None}, "it was rejected"
         if proposal is None:
-            reason = self._not_at(decision.region, TrialPhase.WAITING) or self._not_tried(decision)
-            return {"region": decision.region, "proposal": None}, reason
+            return {"region": decision.region, "proposal": None}, self._not_waiting(decision)
         return {"region": proposal.region, "proposal": proposal.to_dict()}, self._superseded(proposal)
 
     def _not_wanted(self, digest: str, before: Before | None) -> tuple[dict[str, object], str]:
@@ -316,13 +315,10 @@ class OrderDesk:
             return {}, f"no proposal {digest[:SHORT]} in this session"
         if Proposal.of(decision) is not None:
             # Why a proposal cannot be rejected any more, empty when it can: it was approved, and its gains are written.
-            number = self._taken_up.get(digest)
-            back = f"to roll it back, order a revert of decision {number}"
-            return {"region": decision.region, "tried": False}, (
-                "" if number is None else f"it was approved before, and written with decision {number}; {back}"
-            )
-        reason = self._not_at(decision.region, TrialPhase.WAITING) or self._not_tried(decision)
-        return {"region": decision.region, "tried": True}, reason
+            number, written = self._taken_up.get(digest), "it was approved before, and written with decision"
+            back = f"{written} {number}; to roll it back, order a revert of decision {number}"
+            return {"region": decision.region, "tried": False}, back if number is not None else ""
+        return {"region": decision.region, "tried": True}, self._not_waiting(decision)
 
     def _superseded(self, proposal: Proposal) -> str:
         """Why a proposal may not be taken up any more, empty unless this session has made a newer one of its region."""
@@ -330,11 +326,11 @@ class OrderDesk:
         newest = next((one for one in map(Proposal.of, made) if one is not None), proposal)
         return superseded("" if newest.digest == proposal.digest else newest.digest)
 
-    def _not_tried(self, decision: Decision) -> str:
-        """Why an approval finds nothing to release, empty when the decision is the region's newest change."""
+    def _not_waiting(self, decision: Decision) -> str:
+        """Why a change does not wait for a person's word; empty when it does, and is the region's newest one."""
         changes = (d for d in reversed(self._decisions) if d.region == decision.region and d.action is Action.WRITE)
-        named = next(changes, None) is decision
-        return "" if named else f"{decision.region} awaits approval of another change than this one"
+        other = f"{decision.region} awaits approval of another change than this one"
+        return self._not_at(decision.region, TrialPhase.WAITING) or ("" if next(changes, None) is decision else other)
 
     def _not_at(self, region: str, phase: TrialPhase) -> str:
         """Why an order finds nothing to do, empty when the region is in the phase that it is for."""
@@ -342,10 +338,9 @@ class OrderDesk:
         return "" if now == phase else f"{region} is not {phase}, it is {now}"
 
     def _closed(self, region: str) -> str:
-        names = self._retuner.table.regions.names
         if missing := self._no_such(region):
             return missing
-        off = self._retuner.settings.mode_of(names.index(region)) == Mode.OFF
+        off = self._retuner.settings.mode_of(self._retuner.table.index(region)) == Mode.OFF
         return f"region {region} is off: nothing is written there" if off else ""
 
     def _no_such(self, region: str) -> str:
