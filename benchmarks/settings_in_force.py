@@ -111,31 +111,6 @@ def told(name: str, found: list[tuple[PidGains, SettingsInForce]]) -> str:
     )
 
 
-def of_folder(folder: Path) -> None:
-    """What is read off each record of a folder."""
-    found = {}
-    for path in sorted(folder.glob("*.csv")):
-        with path.open(encoding="utf-8") as stream:
-            rows = list(csv.DictReader(stream))
-        if not rows or not {"t", "sp", "pv", "co"} <= set(rows[0]):
-            continue
-        columns = np.array([[float(row[name]) for name in ("t", "sp", "pv", "co")] for row in rows])
-        columns = columns[np.concatenate([[True], np.diff(columns[:, 0]) > 0])]
-        found[path.name] = settings_in_force(Window(*columns.T.copy()))
-    for name, s in found.items():
-        if s.gains is not None:
-            g, spread = s.gains, s.std["kp"] / abs(s.gains.kp or 1.0)
-            tau_i = f"{g.kp / g.ki:8.4g} s" if g.ki else "      none"
-            print(f"{name:<26} Kc {g.kp:9.4g} +-{spread:4.0%}  tau_I {tau_i}  {s.explained:6.1%}")
-        else:
-            print(f"{name:<26} {s.reason}")
-    sure, signs = (
-        sum(x is not None for x in values)
-        for values in ([s.gains for s in found.values()], [s.direction for s in found.values()])
-    )
-    print(f"settings: {sure} of {len(found)}; direction: {signs} of {len(found)}")
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cases", type=int, default=60)
@@ -152,7 +127,27 @@ def main() -> None:
             found.append((gains, settings_in_force(Window(*recorded(rows).T.copy()), 0, 100)))
         print(told(name, found), flush=True)
     if options.folder is not None:
-        of_folder(options.folder)
+        found = {}
+        for path in sorted(options.folder.glob("*.csv")):
+            with path.open(encoding="utf-8") as stream:
+                rows = list(csv.DictReader(stream))
+            if not rows or not {"t", "sp", "pv", "co"} <= set(rows[0]):
+                continue
+            columns = np.array([[float(row[name]) for name in ("t", "sp", "pv", "co")] for row in rows])
+            columns = columns[np.concatenate([[True], np.diff(columns[:, 0]) > 0])]
+            found[path.name] = settings_in_force(Window(*columns.T.copy()))
+        for name, s in found.items():
+            if s.gains is not None:
+                g, spread = s.gains, s.std["kp"] / abs(s.gains.kp or 1.0)
+                tau_i = f"{g.kp / g.ki:8.4g} s" if g.ki else "      none"
+                print(f"{name:<26} Kc {g.kp:9.4g} +-{spread:4.0%}  tau_I {tau_i}  {s.explained:6.1%}")
+            else:
+                print(f"{name:<26} {s.reason}")
+        sure, signs = (
+            sum(x is not None for x in values)
+            for values in ([s.gains for s in found.values()], [s.direction for s in found.values()])
+        )
+        print(f"settings: {sure} of {len(found)}; direction: {signs} of {len(found)}")
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ import subprocess
 import sys
 import tempfile
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -69,19 +69,6 @@ def archives(tools: Path, out: Path) -> tuple[Path, list[Path]]:
     for setting in ({}, {WITHOUT_ENGINE: "1"}):
         run(tools, "-P", "-m", "pip", "wheel", "-q", "--no-deps", "--no-cache-dir", "-w", out, sdist, **setting)
     return sdist, sorted(out.glob("*.whl"))
-
-
-def interpreters(wanted: Sequence[str]) -> dict[str, str]:
-    """Where each version is, if it is."""
-    found = {}
-    for version in wanted:
-        of_pyenv = sorted((Path.home() / ".pyenv" / "versions").glob(f"{version}.*/bin/python"))
-        places = [*map(str, of_pyenv), shutil.which(f"python{version}")]
-        for place in filter(None, places):
-            if run(place, "-c", "import sys; print('%d.%d' % sys.version_info[:2])").strip() == version:
-                found[version] = place
-                break
-    return found
 
 
 def tried(trial: Trial) -> str:
@@ -158,7 +145,14 @@ def steps(options: argparse.Namespace) -> Iterator[str]:
         sdist, wheels = archives(tools, options.out)
         run(tools, "-P", "-m", "twine", "check", "--strict", sdist, *wheels)
         yield f"built and checked: {', '.join(path.name for path in (sdist, *wheels))}"
-        found = interpreters(options.python)
+        found = {}
+        for version in options.python:
+            of_pyenv = sorted((Path.home() / ".pyenv" / "versions").glob(f"{version}.*/bin/python"))
+            places = [*map(str, of_pyenv), shutil.which(f"python{version}")]
+            for place in filter(None, places):
+                if run(place, "-c", "import sys; print('%d.%d' % sys.version_info[:2])").strip() == version:
+                    found[version] = place
+                    break
         missing = [version for version in options.require if version not in found]
         if missing:
             raise SystemExit(f"required and not found: Python {', '.join(missing)}")

@@ -40,20 +40,19 @@ def run(path: Path) -> NotebookNode:
     for cell in notebook.cells:
         cell.metadata = NotebookNode()  # times of execution, which differ every time
         if cell.cell_type == "code":
-            cell.outputs = _joined(cell.outputs)
+            joined: list[NotebookNode] = []
+            for output in cell.outputs:
+                if (
+                    joined
+                    and output.output_type == joined[-1].output_type == "stream"
+                    and output.name == joined[-1].name
+                ):
+                    joined[-1].text += output.text
+                else:
+                    joined.append(output)
+            cell.outputs = joined
     notebook.metadata = NotebookNode({"kernelspec": notebook.metadata.kernelspec})
     return notebook
-
-
-def _joined(outputs: list[NotebookNode]) -> list[NotebookNode]:
-    """Outputs with neighbouring pieces of one stream as one: where a stream is cut is a matter of time."""
-    joined: list[NotebookNode] = []
-    for output in outputs:
-        if joined and output.output_type == joined[-1].output_type == "stream" and output.name == joined[-1].name:
-            joined[-1].text += output.text
-        else:
-            joined.append(output)
-    return joined
 
 
 def main() -> int:

@@ -96,7 +96,11 @@ def run_page(page: Path, folder: Path, oven: Callable[[], Path]) -> Iterator[tup
     with alone() if "<!-- in the background -->" in text else nullcontext(), background() as started:
         for block in blocks(text):
             if block.to_run and block.note == "in the background":
-                started.append(_start(block, folder))
+                quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+                start = subprocess.Popen(
+                    _command(block), cwd=folder, env=_environment(), start_new_session=True, **quiet
+                )
+                started.append(start)
             elif block.to_run:
                 before = copying(oven()) if OVEN in block.code else ""
                 yield (block, *_run(block, folder, before))
@@ -155,11 +159,6 @@ def background() -> Iterator[list[subprocess.Popen[bytes]]]:
         for process in started:
             os.killpg(process.pid, signal.SIGTERM)
             process.wait()
-
-
-def _start(block: Block, folder: Path) -> subprocess.Popen[bytes]:
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    return subprocess.Popen(_command(block), cwd=folder, env=_environment(), start_new_session=True, **quiet)
 
 
 def _run(block: Block, folder: Path, before: str = "") -> tuple[str, int]:

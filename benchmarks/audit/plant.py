@@ -96,7 +96,11 @@ def simulate(
     delay = np.maximum(np.round(np.array([loop.theta_s for loop in loops]) / DT_S).astype(int), 1)
     stick = np.array([loop.stick for loop in loops])
     sp, load = _setpoints(loops, n, rng, outside), _loads(loops, n, rng)
-    cross = _cross(loops)
+    at = {loop.tag: j for j, loop in enumerate(loops)}
+    cross = np.zeros((len(loops), len(loops)))
+    for j, loop in enumerate(loops):
+        if loop.against in at:
+            cross[at[loop.against], j] = CROSS if at[loop.against] < j else -CROSS
     for j, loop in enumerate(loops):
         if loop.root in outside:
             load[:, j] += outside[loop.root][:n] * loop.load
@@ -123,16 +127,6 @@ def simulate(
     dead = [loop.kind == "dead" for loop in loops]
     pv[:, dead] = pv[0, dead]
     return {"sp": sp, "pv": pv, "co": co}
-
-
-def _cross(loops: list[Loop]) -> np.ndarray:
-    """What the outputs do to other loops, shape (from, to)."""
-    at = {loop.tag: j for j, loop in enumerate(loops)}
-    cross = np.zeros((len(loops), len(loops)))
-    for j, loop in enumerate(loops):
-        if loop.against in at:
-            cross[at[loop.against], j] = CROSS if at[loop.against] < j else -CROSS
-    return cross
 
 
 def _setpoints(loops: list[Loop], n: int, rng: np.random.Generator, outside: dict[str, np.ndarray]) -> np.ndarray:

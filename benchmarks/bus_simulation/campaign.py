@@ -98,14 +98,11 @@ class World:
             self.intruder.act()
             if random() < ONE_WRONG:
                 self.one_wrong.act()
-                self._deceive(self.rng.choice(self.hosts))
-
-    def _deceive(self, host: HostEnd) -> None:
-        """Frames to a host with exactly one thing wrong."""
-        way, device, client = self.bus.ways[host.name], self.device, host.device
-        misread(way, self.rng)
-        if client is not None and client.write.seq is not None:
-            of_another_epoch(way, self.rng, device.settings.node, device.epoch, host.owner, client.write.seq)
+                host = self.rng.choice(self.hosts)
+                way, device, client = self.bus.ways[host.name], self.device, host.device
+                misread(way, self.rng)
+                if client is not None and client.write.seq is not None:
+                    of_another_epoch(way, self.rng, device.settings.node, device.epoch, host.owner, client.write.seq)
 
     def clear_up(self) -> None:
         """No faults from now on."""

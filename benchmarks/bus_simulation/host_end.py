@@ -148,7 +148,17 @@ class HostEnd:
                 with suppress(WriteRefusedError):
                     self.device.confirm(self.now_s) if self._random() < 0.5 else self.device.store(self.now_s)
             if self.order is None and not self.calm and self._random() < self._eager:
-                self.begin(self._choose())
+                running = self.device.running if self.device is not None else None
+                other = None  # gains, mostly legal ones
+                if running is not None:
+                    gains, random = running.gains, self._random
+                    reach = REACH if random() < 0.1 else 0.3
+                    kp = gains.kp * 10.0 ** (reach * (2.0 * random() - 1.0))
+                    ki = gains.ki * 10.0 ** (reach * (2.0 * random() - 1.0))
+                    kd = (gains.kd or 0.3) * 10.0 ** (reach * (2.0 * random() - 1.0)) if random() < 0.9 else 0.0
+                    sign = -1.0 if random() < 0.01 else 1.0
+                    other = to_wire(PidGains(sign * kp, sign * ki, sign * kd))
+                self.begin(other)
         except (CrashError, DeviceError):
             self.die()
 
@@ -188,19 +198,6 @@ class HostEnd:
             self.truth.counts[type(event).__name__] += 1
             if isinstance(event, WriteUnknown):
                 self._record("unknown", event)
-
-    def _choose(self) -> PidGains | None:
-        """Other gains: mostly legal ones."""
-        running = self.device.running if self.device is not None else None
-        if running is None:
-            return None
-        gains, random = running.gains, self._random
-        reach = REACH if random() < 0.1 else 0.3
-        kp = gains.kp * 10.0 ** (reach * (2.0 * random() - 1.0))
-        ki = gains.ki * 10.0 ** (reach * (2.0 * random() - 1.0))
-        kd = (gains.kd or 0.3) * 10.0 ** (reach * (2.0 * random() - 1.0)) if random() < 0.9 else 0.0
-        sign = -1.0 if random() < 0.01 else 1.0
-        return to_wire(PidGains(sign * kp, sign * ki, sign * kd))
 
     def begin(self, gains: PidGains | None) -> None:
         """Write these gains: the intent goes to the ledger first."""

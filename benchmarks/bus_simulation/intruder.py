@@ -144,10 +144,6 @@ class Intruder:
         owner = device.lease.owner or rng.randrange(1, 65536)
         if not device.lease.owner:
             self._say(Lease(owner, self._stamp(), 50, rng.randrange(256)))
-        self._send_set(gains, owner)
-
-    def _send_set(self, gains: PidGains, owner: int) -> None:
-        """Stage and commit; known to the truth beforehand."""
         device, base = self.device, self.device.running.seq
         seq = (device.pages.latest + 1) % 65536
         self.truth.ordered(Order(device.epoch, seq, base, gains, owner, NAME))

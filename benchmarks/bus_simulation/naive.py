@@ -42,7 +42,12 @@ class NaiveWorld:
                 self._bus.ways["device"].cut = weather.out_cut
             self._bus.tick(number)
             if number % UPDATE_EVERY == 0:
-                self._order(number)
+                wire = struct.pack("<ff", self._rng.uniform(0.5, 20.0), self._rng.uniform(0.01, 1.0))
+                kp, ki = struct.unpack("<ff", wire)
+                self._orders[kp, ki] = number
+                frames = [(KP_ID, b"\0" + wire[:4]), (KP_ID, b"\1" + wire[4:])] if self._per_gain else [(BOTH_ID, wire)]
+                for id_, data in frames:
+                    self._bus.send("host", can.Message(arbitration_id=id_, is_extended_id=False, data=data))
             for message in self._bus.ways["device"].take():
                 # What arrives is what runs
                 data = bytes(message.data)
@@ -54,15 +59,6 @@ class NaiveWorld:
             self._check()
         self.counts["steps"] = steps
         return self.counts
-
-    def _order(self, number: int) -> None:
-        """A new set."""
-        wire = struct.pack("<ff", self._rng.uniform(0.5, 20.0), self._rng.uniform(0.01, 1.0))
-        kp, ki = struct.unpack("<ff", wire)
-        self._orders[kp, ki] = number
-        frames = [(KP_ID, b"\0" + wire[:4]), (KP_ID, b"\1" + wire[4:])] if self._per_gain else [(BOTH_ID, wire)]
-        for id_, data in frames:
-            self._bus.send("host", can.Message(arbitration_id=id_, is_extended_id=False, data=data))
 
     def _check(self) -> None:
         """The invariants, by the names that they have in truth.py."""

@@ -88,19 +88,16 @@ def stiction_record(
     zero = np.zeros(n + lead_in)
     plan = Plan(sp, load, zero, noise, lead_in, quantum=quantum)
     record = valve_record(rng, loop, gains, plan, valve, swing)
-    if not _still_cycling(record, swing):
+    if any(float(np.ptp(part)) < 0.5 * swing for part in np.array_split(record.pv, 3)):
+        still_cycling = False
+    else:
+        error = record.pv - record.sp
+        centred = error - np.median(error)
+        ends = np.sign(centred) * (np.abs(centred) > 0.15 * swing)
+        still_cycling = int(np.count_nonzero(np.diff(ends[ends != 0]) > 0)) >= FEWEST_ROUNDS
+    if not still_cycling:
         return None
     return loop, record, {"s": size, "j": jump, "period": period, "cycles": n * loop.dt_s / period}
-
-
-def _still_cycling(record: Record, swing: float) -> bool:
-    """Whether the cycle is there in every third of the record, noise and all, and goes round three times or more."""
-    if any(float(np.ptp(part)) < 0.5 * swing for part in np.array_split(record.pv, 3)):
-        return False
-    error = record.pv - record.sp
-    centred = error - np.median(error)
-    ends = np.sign(centred) * (np.abs(centred) > 0.15 * swing)
-    return int(np.count_nonzero(np.diff(ends[ends != 0]) > 0)) >= FEWEST_ROUNDS
 
 
 def cycles_of(rng: np.random.Generator, loop: Loop, period_s: float) -> tuple[Loop, int]:

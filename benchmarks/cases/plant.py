@@ -22,34 +22,28 @@ ROUNDING = 1e-9
 Section = tuple[FloatArray, FloatArray, FloatArray]
 
 
-def realise(process: LinearProcess) -> Section:
-    """A, B, C of the process without its dead time: sections in series, each lead on a lag or a pair."""
-    leads = sorted((x for x in process.leads_s if x), key=abs)
-    sections: list[tuple[FloatArray, FloatArray, FloatArray, float]] = []
-    spare = len(leads) - sum(lag > 0 for lag in process.lags_s)
-    for i, (c1, c2) in enumerate(process.quadratics):
-        row = np.array([1.0, leads.pop(0) if i < spare else 0.0])
-        sections.append((np.array([[0.0, 1.0], [-1 / c2, -c1 / c2]]), np.array([0, 1 / c2]), row, 0.0))
-    for lag in sorted((x for x in process.lags_s if x > 0), reverse=True):
-        lead = leads.pop() if leads else 0.0
-        sections.append((np.array([[-1 / lag]]), np.array([1 / lag]), np.array([1 - lead / lag]), lead / lag))
-    sections += [(np.zeros((1, 1)), np.ones(1), np.ones(1), 0.0)] * process.integrators
-    if leads or not any(d == 0 for *_, d in sections):
-        raise ValueError(f"{process}: as many leads as lags, no room for a held input")
-    a, b, c, d = np.zeros((0, 0)), np.zeros(0), np.zeros(0), process.k
-    for a2, b2, c2_row, d2 in sections:
-        n, m = len(a), len(a2)
-        whole = np.zeros((n + m, n + m))
-        whole[:n, :n], whole[n:, n:], whole[n:, :n] = a, a2, np.outer(b2, c)
-        a, b, c, d = whole, np.concatenate([b, b2 * d]), np.concatenate([d2 * c, c2_row]), d2 * d
-    return a, b, c
-
-
 class HeldPlant:
     """The process in steps of h_s, about zero; `move` holds an input for one step."""
 
     def __init__(self, process: LinearProcess, h_s: float) -> None:
-        a, b, c = realise(process)
+        leads = sorted((x for x in process.leads_s if x), key=abs)
+        sections: list[tuple[FloatArray, FloatArray, FloatArray, float]] = []
+        spare = len(leads) - sum(lag > 0 for lag in process.lags_s)
+        for i, (c1, c2) in enumerate(process.quadratics):
+            row = np.array([1.0, leads.pop(0) if i < spare else 0.0])
+            sections.append((np.array([[0.0, 1.0], [-1 / c2, -c1 / c2]]), np.array([0, 1 / c2]), row, 0.0))
+        for lag in sorted((x for x in process.lags_s if x > 0), reverse=True):
+            lead = leads.pop() if leads else 0.0
+            sections.append((np.array([[-1 / lag]]), np.array([1 / lag]), np.array([1 - lead / lag]), lead / lag))
+        sections += [(np.zeros((1, 1)), np.ones(1), np.ones(1), 0.0)] * process.integrators
+        if leads or not any(d == 0 for *_, d in sections):
+            raise ValueError(f"{process}: as many leads as lags, no room for a held input")
+        a, b, c, d = np.zeros((0, 0)), np.zeros(0), np.zeros(0), process.k
+        for a2, b2, c2_row, d2 in sections:
+            n, m = len(a), len(a2)
+            whole = np.zeros((n + m, n + m))
+            whole[:n, :n], whole[n:, n:], whole[n:, :n] = a, a2, np.outer(b2, c)
+            a, b, c, d = whole, np.concatenate([b, b2 * d]), np.concatenate([d2 * c, c2_row]), d2 * d
         samples = max(math.ceil(process.theta_s / h_s - ROUNDING), 1)
         late = min(max(process.theta_s - (samples - 1) * h_s, 0.0), h_s)
         phi_late, g_late = _held(a, b, late)

@@ -111,7 +111,19 @@ def in_spec_gains(rng: np.random.Generator, loop: Loop) -> PidGains:
 
 def quiet(rng: np.random.Generator) -> Scene:
     """An hour at rest."""
-    loop = rescaled(draw_loop(rng, str(rng.choice(FAMILIES))), log_uniform(rng, *SAMPLE_TIMES_S))
+    loop = draw_loop(rng, str(rng.choice(FAMILIES)))
+    dt_s = log_uniform(rng, *SAMPLE_TIMES_S)
+    p, f = loop.process, dt_s / loop.dt_s
+    slower = LinearProcess(
+        p.k / f**p.integrators,
+        tuple(x * f for x in p.lags_s),
+        tuple(x * f for x in p.leads_s),
+        p.theta_s * f,
+        p.integrators,
+        tuple((c1 * f, c2 * f * f) for c1, c2 in p.quadratics),
+    )
+    whole = Loop(loop.family, slower, loop.theta_s * f, dt_s, loop.low, loop.high, loop.co0, loop.best, loop.best_pid)
+    loop = resampled(whole, dt_s)
     state = rng.uniform()
     gains = in_spec_gains(rng, loop) if state < 0.6 else scaled(loop.best, 1 / 3 if state < 0.8 else 1.6, 1.0)
     if not loop.margins(gains).stable:
@@ -132,21 +144,6 @@ def judge_gain(loop: Loop) -> float:
     """pv per unit of load after an effective dead time or lag, whichever says more."""
     lag = max((*loop.process.lags_s, loop.theta_s))
     return abs(loop.process.k) * (lag if loop.process.integrators else 1.0)
-
-
-def rescaled(loop: Loop, dt_s: float) -> Loop:
-    """The same loop with all times in proportion, so that it is sampled every dt_s."""
-    p, f = loop.process, dt_s / loop.dt_s
-    slower = LinearProcess(
-        p.k / f**p.integrators,
-        tuple(x * f for x in p.lags_s),
-        tuple(x * f for x in p.leads_s),
-        p.theta_s * f,
-        p.integrators,
-        tuple((c1 * f, c2 * f * f) for c1, c2 in p.quadratics),
-    )
-    whole = Loop(loop.family, slower, loop.theta_s * f, dt_s, loop.low, loop.high, loop.co0, loop.best, loop.best_pid)
-    return resampled(whole, dt_s)
 
 
 def stuck(rng: np.random.Generator) -> Scene:

@@ -189,7 +189,11 @@ def drawn(kind: str, rng: np.random.Generator, lie: str) -> tuple[Loop, Injected
         judge = Judge(loop.process, loop.dt_s, (loop.best, loop.theta_s))
         bad = scaled(loop.best, kc, tau_i)
         if kind == "right" and judge.of(loop.best).in_spec:
-            return loop, Injected(bad, loop.best, Plausible(_inexact(model, rng), 0.0), loop.best)
+            k, theta, tau1, tau2 = (log_uniform(rng, 1 / INEXACT, INEXACT) for _ in range(4))
+            tau1_s = model.tau1_s * tau1
+            tau2_s = min(model.tau2_s * tau2, tau1_s) if tau1_s else model.tau2_s * tau2
+            inexact = replace(model, k=model.k * k, theta_s=model.theta_s * theta, tau1_s=tau1_s, tau2_s=tau2_s)
+            return loop, Injected(bad, loop.best, Plausible(inexact, 0.0), loop.best)
         if judge.of(loop.best).in_spec and not judge.of(bad).in_spec:
             if lie == "wrong set":
                 return loop, Injected(loop.best, bad, Plausible(model, 0.0), loop.best)
@@ -202,14 +206,6 @@ def _wrong(model: ProcessModel, kc: float, tau_i: float) -> ProcessModel:
     if tau_i == 1.0:
         return replace(model, k=model.k / kc)
     return replace(model, k=model.k * tau_i / kc, tau1_s=model.tau1_s * tau_i, theta_s=model.theta_s * tau_i)
-
-
-def _inexact(model: ProcessModel, rng: np.random.Generator) -> ProcessModel:
-    """The model with every number off by its own factor."""
-    k, theta, tau1, tau2 = (log_uniform(rng, 1 / INEXACT, INEXACT) for _ in range(4))
-    tau1_s = model.tau1_s * tau1
-    tau2_s = min(model.tau2_s * tau2, tau1_s) if tau1_s else model.tau2_s * tau2
-    return replace(model, k=model.k * k, theta_s=model.theta_s * theta, tau1_s=tau1_s, tau2_s=tau2_s)
 
 
 @dataclass(frozen=True, slots=True)

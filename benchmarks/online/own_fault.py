@@ -87,7 +87,14 @@ def _drawn(kind: str, rng: np.random.Generator) -> tuple[Loop, PidGains]:
     for _ in range(TRIES):
         loop = draw_loop(rng, str(rng.choice(FAMILIES)), (5.0, 15.0))
         start = scaled(loop.best, 1.0, log_uniform(rng, 0.5, 2.0))
-        critical = _critical(loop, start)
+        low, high = 0.0, 0.0
+        for factor in np.geomspace(0.5, 32.0, 25):
+            if loop.margins(PidGains(start.kp * factor, start.ki * factor)).stable:
+                low = float(factor)
+            elif low:
+                high = float(factor)
+                break
+        critical = math.sqrt(low * high)
         over = {"damped": (0.5, 0.95), "growing": (1.05, 1.6), "limits": (1.2, 3.0)}[kind]
         factor = critical * log_uniform(rng, *over)
         gains = PidGains(start.kp * factor, start.ki * factor)
@@ -95,18 +102,6 @@ def _drawn(kind: str, rng: np.random.Generator) -> tuple[Loop, PidGains]:
         if critical and (3.0 < ms < 10.0 if kind == "damped" else math.isinf(ms)):
             return loop, gains
     raise RuntimeError(f"no loop fits {kind} in {TRIES} draws")
-
-
-def _critical(loop: Loop, gains: PidGains) -> float:
-    """The factor on both gains at which the loop begins to swing by itself; 0 where none was found."""
-    low, high = 0.0, 0.0
-    for factor in np.geomspace(0.5, 32.0, 25):
-        if loop.margins(PidGains(gains.kp * factor, gains.ki * factor)).stable:
-            low = float(factor)
-        elif low:
-            high = float(factor)
-            break
-    return math.sqrt(low * high)
 
 
 def line(row: Row) -> str:

@@ -75,6 +75,19 @@ def run(plant: Plant, truths: dict[str, Truth], task: Task) -> Row:
     codes: dict[str, int] = {}
     for decision in live.decisions:
         codes[decision.code] = codes.get(decision.code, 0) + 1
+    made: list[Effect] = []
+    for d in live.writes:
+        assert d.gains_after is not None
+        restored = d.action is Action.RESTORE
+        made.append(effect(truth.judge, d.t_s, d.gains_before, d.gains_after, restored=restored))
+    harm = {
+        "changes": sum(not e.restored for e in made),
+        "restored": sum(e.restored for e in made),
+        "worse": sum(e.worse and not e.restored for e in made),
+        "worse_restored": sum(e.worse and e.restored for e in made),
+        "unstable": sum(math.isinf(e.after.ms) and math.isfinite(e.before.ms) for e in made),
+        "effects": [[e.t_s, e.before.ms, e.before.j, e.after.ms, e.after.j, float(e.restored)] for e in made],
+    }
     return {
         "plant": plant.name,
         "loop": task.loop,
@@ -87,7 +100,7 @@ def run(plant: Plant, truths: dict[str, Truth], task: Task) -> Row:
         "gains": {name: [gains.kp, gains.ki] for name, gains in sets.items()},
         "judged": {name: _judged(truth, gains) for name, gains in sets.items()},
         **_after(plant, task, truth, live),
-        **_harm(truth, live),
+        **harm,
         "live": measured(live),
         "replays": replays,
         "codes": codes,
@@ -140,22 +153,6 @@ def _after(plant: Plant, task: Task, truth: Truth, live: Controlled) -> Row:
     times = [*plant.times(task.loop, task.seed)[1:], len(live.gains) * live.card.dt_s]
     found = [truth.judge.of(live.gains_at(t - 2 * live.card.dt_s)) for t in times]
     return {"spec": [x.in_spec for x in found], "ms": [x.ms for x in found], "j": [x.j for x in found]}
-
-
-def _harm(truth: Truth, live: Controlled) -> Row:
-    made: list[Effect] = []
-    for d in live.writes:
-        assert d.gains_after is not None
-        restored = d.action is Action.RESTORE
-        made.append(effect(truth.judge, d.t_s, d.gains_before, d.gains_after, restored=restored))
-    return {
-        "changes": sum(not e.restored for e in made),
-        "restored": sum(e.restored for e in made),
-        "worse": sum(e.worse and not e.restored for e in made),
-        "worse_restored": sum(e.worse and e.restored for e in made),
-        "unstable": sum(math.isinf(e.after.ms) and math.isfinite(e.before.ms) for e in made),
-        "effects": [[e.t_s, e.before.ms, e.before.j, e.after.ms, e.after.j, float(e.restored)] for e in made],
-    }
 
 
 def tell(live: Controlled, truth: Truth) -> None:

@@ -12,9 +12,8 @@ from retuner.schedule.table import GainTable
 from schedules import physics, records, rivals
 from schedules.designer import Designed, design
 from schedules.lookups import Curve, Lookup, Table
-from schedules.loop import Trace, Visit, run
+from schedules.loop import Trace, run
 from schedules.records import poor, poor_table, record, walk
-from schedules.subject import Subject
 from schedules.truth import Truth, counts
 
 Row = dict[str, Any]
@@ -59,18 +58,14 @@ def tasks(seed: int, loops: int, parts: tuple[str, ...], modes: tuple[str, ...],
     return found
 
 
-def subject_of(task: Task) -> Subject:
-    """Drawn, or by its name."""
-    if task.subject in physics.MAKERS:
-        return physics.MAKERS[task.subject]()
-    kind, factor, *by = task.subject.split()
-    rng = np.random.default_rng([task.seed, task.index, 40])
-    return records.draw(rng, kind, float(factor), by=by[-1] if by else "pv")
-
-
 def measure(task: Task) -> Row:
     """The row of one case: who is in spec where, and IAE over the perfect table's."""
-    subject = subject_of(task)
+    if task.subject in physics.MAKERS:
+        subject = physics.MAKERS[task.subject]()
+    else:
+        kind, factor, *by = task.subject.split()
+        rng = np.random.default_rng([task.seed, task.index, 40])
+        subject = records.draw(rng, kind, float(factor), by=by[-1] if by else "pv")
     truth = Truth(subject, task.places)
     rng = np.random.default_rng([task.seed, task.index, MODES.index(task.mode), 41])
     lag_s = LAG_THETA * truth.judges[task.places // 2].theta_s if task.mode == "lagging" else 0.0
@@ -97,13 +92,7 @@ def measure(task: Task) -> Row:
         who["designed"] = designed.lookup
     if task.rivals:
         who |= {"fixed": rivals.fixed(truth), "four": rivals.four(truth), "points": rivals.points(truth, rng)}
-    row["who"] = _walked(truth, who, walk(truth, rng, task.walk), rng, lag_s)
-    return row
-
-
-def _walked(
-    truth: Truth, who: dict[str, Lookup], visits: list[Visit], rng: np.random.Generator, lag_s: float
-) -> dict[str, Row]:
+    visits = walk(truth, rng, task.walk)
     noise = truth.subject.noise * rng.standard_normal(sum(visit.n for visit in visits))
     found = {}
     for name, lookup in who.items():
@@ -112,7 +101,8 @@ def _walked(
     perfect = found["perfect"]["iae"]
     for each in found.values():
         each["iae"] = each["iae"] / perfect if math.isfinite(each["iae"]) else math.inf
-    return found
+    row["who"] = found
+    return row
 
 
 __all__ = ["Designed", "Row", "Task", "measure", "tasks"]

@@ -16,7 +16,7 @@ from retuner.drivers.bus.bus import CanLink, LinkFault, LinkSettings
 from retuner.drivers.clock import MonotonicClock
 from retuner.drivers.controller.device_process import DeviceOnBus, fresh_epoch
 from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
-from retuner.drivers.device import Event, LinkChanged, SamplesLost, WriteDone, WriteRefusedError
+from retuner.drivers.device import LinkChanged, SamplesLost, WriteDone, WriteRefusedError
 from retuner.drivers.host.can_device import CanDevice, CanDeviceSettings
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.drivers.protocol.checksum import to_wire
@@ -74,39 +74,31 @@ class Bench:
         """Let time pass, or until something holds; how long it took."""
         began_s = now_s = self.clock.now_s()
         while now_s - began_s < seconds and not until():
-            self._turn(now_s)
+            if now_s >= self._next_s:
+                self.on_bus.sample()
+                self._next_s = max(self._next_s + SAMPLE_S, now_s)
+            else:
+                self.on_bus.answer()
+            for event in self.host.poll(now_s):
+                self.told[type(event).__name__] += 1
+                if isinstance(event, LoopSample):
+                    if self.times and event.t_s <= self.times[-1]:
+                        self.wrong.append(f"time stands still: {event.t_s} after {self.times[-1]}")
+                    self.times.append(event.t_s)
+                elif isinstance(event, SamplesLost):
+                    self.lost += event.count
+                elif isinstance(event, LinkChanged):
+                    self.told[f"link {event.state.name.lower()}"] += 1
+                elif isinstance(event, WriteDone) and event.running.gains not in self.ordered:
+                    self.wrong.append(f"reported as running, never ordered: {event.running}")
+            for fault, times in (*self.near.news(), *self.far.news()):
+                self.faults[fault] += times
+            if self.device.running.gains not in self.ordered:
+                self.wrong.append(f"gains run that nobody ordered: {self.device.running}")
+                self.ordered.add(self.device.running.gains)
             self.near.wait_until(min(self._next_s, now_s + LOOK_S))
             now_s = self.clock.now_s()
         return now_s - began_s
-
-    def _turn(self, now_s: float) -> None:
-        """The device's sample when it is due, its answers, the host's look."""
-        if now_s >= self._next_s:
-            self.on_bus.sample()
-            self._next_s = max(self._next_s + SAMPLE_S, now_s)
-        else:
-            self.on_bus.answer()
-        for event in self.host.poll(now_s):
-            self._note(event)
-        for fault, times in (*self.near.news(), *self.far.news()):
-            self.faults[fault] += times
-        if self.device.running.gains not in self.ordered:
-            self.wrong.append(f"gains run that nobody ordered: {self.device.running}")
-            self.ordered.add(self.device.running.gains)
-
-    def _note(self, event: Event) -> None:
-        """Count an event and see whether it can be."""
-        self.told[type(event).__name__] += 1
-        if isinstance(event, LoopSample):
-            if self.times and event.t_s <= self.times[-1]:
-                self.wrong.append(f"time stands still: {event.t_s} after {self.times[-1]}")
-            self.times.append(event.t_s)
-        elif isinstance(event, SamplesLost):
-            self.lost += event.count
-        elif isinstance(event, LinkChanged):
-            self.told[f"link {event.state.name.lower()}"] += 1
-        elif isinstance(event, WriteDone) and event.running.gains not in self.ordered:
-            self.wrong.append(f"reported as running, never ordered: {event.running}")
 
     def order(self) -> None:
         """Ask for a write of new gains, if that can be asked now."""

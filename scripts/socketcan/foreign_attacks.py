@@ -58,12 +58,6 @@ def attacks(ids: set[int], record: Path, second: list[str]) -> Iterator[list[str
             yield ["timeout", "10", *second]
 
 
-def bus_off() -> None:
-    """The error frame of a controller that left the bus."""
-    with can.Bus(interface="socketcan", channel=CHANNEL) as bus:
-        bus.send(can.Message(is_error_frame=True, arbitration_id=0x40, is_extended_id=False, data=bytes(8)))
-
-
 def numbers(value: object) -> Iterator[float]:
     """Every number in a row."""
     if isinstance(value, dict):
@@ -95,7 +89,8 @@ def wrong_in(folder: Path) -> tuple[list[str], dict[str, int]]:
 def main() -> int:
     """Attack one session."""
     if sys.argv[1:] == ["bus-off"]:
-        bus_off()
+        with can.Bus(interface="socketcan", channel=CHANNEL) as bus:
+            bus.send(can.Message(is_error_frame=True, arbitration_id=0x40, is_extended_id=False, data=bytes(8)))
         return 0
     config, out, speed = sys.argv[1], Path(sys.argv[2]), sys.argv[3] if len(sys.argv) > 3 else "1"
     out.mkdir(parents=True, exist_ok=True)

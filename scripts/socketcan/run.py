@@ -41,19 +41,6 @@ def kernel_has_can() -> bool:
     return subprocess.run([*namespace(), "sh", "-c", UP], capture_output=True, check=False).returncode == 0
 
 
-def user_mode_linux() -> str | None:
-    """Path of the user-mode kernel, None when it or its modules are not installed."""
-    return shutil.which("linux.uml") if MODULES.is_dir() and shutil.which("insmod") and shutil.which("ip") else None
-
-
-def in_namespace(command: list[str], timeout_s: float) -> int:
-    """Run the command with kernel CAN."""
-    print("socketcan: vcan0 of this kernel, in a network namespace", file=sys.stderr)
-    script = f"ip link set lo up; {UP} || exit {BROKEN}; exec {shlex.join(command)}"
-    process = subprocess.Popen([*namespace(), "sh", "-c", script], start_new_session=True)
-    return wait(process, timeout_s)
-
-
 def wide_registers(job: Path) -> dict[str, str]:
     """The environment in which user-mode Linux 6.1 starts on a processor whose registers are wider than it knows."""
     if " amx_tile" not in Path("/proc/cpuinfo").read_text(encoding="ascii", errors="replace"):
@@ -66,39 +53,6 @@ def wide_registers(job: Path) -> dict[str, str]:
         )
         return {}
     return {"LD_PRELOAD": str(library)}
-
-
-def in_user_mode_linux(kernel: str, command: list[str], timeout_s: float) -> int:
-    """Run the command in user-mode Linux and replay what it printed."""
-    print(f"socketcan: vcan0 inside user-mode Linux ({kernel})", file=sys.stderr)
-    with tempfile.TemporaryDirectory(prefix="retuner-uml-") as folder:
-        job = Path(folder)
-        exports = "".join(f"export {name}={shlex.quote(value)}\n" for name, value in environment().items())
-        (job / "command.sh").write_text(f"cd {shlex.quote(str(Path.cwd()))}\n{exports}exec {shlex.join(command)}\n")
-        init = job / "init.sh"
-        shutil.copy(INIT, init)
-        init.chmod(0o755)
-        with (job / "console").open("wb") as console:
-            process = subprocess.Popen(
-                [
-                    kernel,
-                    f"mem={MEMORY}",
-                    "rootfstype=hostfs",
-                    "rw",
-                    f"init={init}",
-                    f"JOB={job}",
-                    "con=null",
-                    "con0=fd:0,fd:1",
-                    "quiet",
-                ],
-                stdin=subprocess.DEVNULL,
-                stdout=console,
-                stderr=console,
-                env={**os.environ, **wide_registers(job)},
-                start_new_session=True,
-            )
-            status = wait(process, timeout_s)
-        return told(job, timed_out=status == TIMED_OUT)
 
 
 def environment() -> dict[str, str]:
@@ -147,10 +101,43 @@ def main() -> int:
     parser.add_argument("command", nargs="+", help="the command and its arguments, after --")
     chosen = parser.parse_args()
     if not chosen.uml and kernel_has_can():
-        return in_namespace(chosen.command, chosen.timeout)
-    kernel = user_mode_linux()
+        print("socketcan: vcan0 of this kernel, in a network namespace", file=sys.stderr)
+        script = f"ip link set lo up; {UP} || exit {BROKEN}; exec {shlex.join(chosen.command)}"
+        process = subprocess.Popen([*namespace(), "sh", "-c", script], start_new_session=True)
+        return wait(process, chosen.timeout)
+    kernel = shutil.which("linux.uml") if MODULES.is_dir() and shutil.which("insmod") and shutil.which("ip") else None
     if kernel is not None:
-        return in_user_mode_linux(kernel, chosen.command, chosen.timeout)
+        print(f"socketcan: vcan0 inside user-mode Linux ({kernel})", file=sys.stderr)
+        with tempfile.TemporaryDirectory(prefix="retuner-uml-") as folder:
+            job = Path(folder)
+            exports = "".join(f"export {name}={shlex.quote(value)}\n" for name, value in environment().items())
+            (job / "command.sh").write_text(
+                f"cd {shlex.quote(str(Path.cwd()))}\n{exports}exec {shlex.join(chosen.command)}\n"
+            )
+            init = job / "init.sh"
+            shutil.copy(INIT, init)
+            init.chmod(0o755)
+            with (job / "console").open("wb") as console:
+                process = subprocess.Popen(
+                    [
+                        kernel,
+                        f"mem={MEMORY}",
+                        "rootfstype=hostfs",
+                        "rw",
+                        f"init={init}",
+                        f"JOB={job}",
+                        "con=null",
+                        "con0=fd:0,fd:1",
+                        "quiet",
+                    ],
+                    stdin=subprocess.DEVNULL,
+                    stdout=console,
+                    stderr=console,
+                    env={**os.environ, **wide_registers(job)},
+                    start_new_session=True,
+                )
+                status = wait(process, chosen.timeout)
+            return told(job, timed_out=status == TIMED_OUT)
     print(f"socketcan: this kernel makes no vcan and user-mode Linux is not installed; `{INSTALL}`", file=sys.stderr)
     return IMPOSSIBLE
 

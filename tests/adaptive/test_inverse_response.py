@@ -39,8 +39,10 @@ def record(
 ) -> Window:  # fmt: skip
     """PI on the process: a setpoint step and a load step after 40 s, 1 % noise."""
     rng = np.random.default_rng(seed)
+    one, two = lags
+    parts = np.array([[K * (1 + zero / one) / (one - two), -K * (1 + zero / two) / (one - two)]])
     a, b, c, _, _ = cont2discrete(
-        (np.array([[-1 / lags[0], 0], [0, -1 / lags[1]]]), np.ones((2, 1)), _parts(lags, zero), np.zeros((1, 1))), 1.0
+        (np.array([[-1 / lags[0], 0], [0, -1 / lags[1]]]), np.ones((2, 1)), parts, np.zeros((1, 1))), 1.0
     )
     x, integral = np.zeros(2), 0.0
     pv, co, wanted = np.zeros(n), np.zeros(n), np.where(np.arange(n) >= 40, sp, 0.0)
@@ -51,12 +53,6 @@ def record(
         entered = (co[i - DELAY] if i >= DELAY else 0.0) + (load if i >= 40 else 0.0)
         x = a @ x + b[:, 0] * entered
     return Window(np.arange(float(n)), wanted, pv, co)
-
-
-def _parts(lags: tuple[float, float], zero: float) -> np.ndarray:
-    """K (1 - B s) / ((1 + T1 s)(1 + T2 s)) in partial fractions."""
-    one, two = lags
-    return np.array([[K * (1 + zero / one) / (one - two), -K * (1 + zero / two) / (one - two)]])
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])

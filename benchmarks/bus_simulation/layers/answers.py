@@ -79,29 +79,27 @@ class Answers:
             if commands != [CHALLENGE]:
                 raise broken("answers_fit_their_question", f"READ of the challenge gets {commands}")
         else:
-            self._page(told, page, token, commands)
-
-    def _page(self, told: Told, page: int, token: int, commands: list[int]) -> None:
-        """ITEM for each gain that is there, then PAGE."""
-        now = told.after
-        content = now.running if page == RUNNING else self._sets.stored
-        seq, values = content.seq, dict(enumerate((content.gains.kp, content.gains.ki, content.gains.kd)))
-        if page == STAGED:
-            number, values = self._sets.staged()
-            seq = now.latest if number is None else number
-            values = dict(sorted(values.items()))
-        right = [
-            bytes([page | item << 2 | (token & 15) << 4]) + struct.pack("<fH", value, seq)
-            for item, value in values.items()
-        ]
-        is_whole = len(values) == 3
-        crc = 0
-        if is_whole and _is_pid(tuple(values.values())):
-            crc = set_crc(self._settings.node, now.epoch, seq, tuple(values.values()), struct.pack("<H", token))
-        right.append(bytes([page | is_whole << 2 | (token & 15) << 4]) + struct.pack("<HI", seq, crc))
-        if commands != [ITEM] * len(values) + [PAGE] or [data[:7] for data in told.replies] != right:
-            got, should = ([data.hex() for data in said] for said in (told.replies, right))
-            raise broken("answers_fit_their_question", f"READ of page {page}, token {token}: {got}, right is {should}")
+            now = told.after
+            content = now.running if page == RUNNING else self._sets.stored
+            seq, values = content.seq, dict(enumerate((content.gains.kp, content.gains.ki, content.gains.kd)))
+            if page == STAGED:
+                number, values = self._sets.staged()
+                seq = now.latest if number is None else number
+                values = dict(sorted(values.items()))
+            right = [
+                bytes([page | item << 2 | (token & 15) << 4]) + struct.pack("<fH", value, seq)
+                for item, value in values.items()
+            ]
+            is_whole = len(values) == 3
+            crc = 0
+            if is_whole and _is_pid(tuple(values.values())):
+                crc = set_crc(self._settings.node, now.epoch, seq, tuple(values.values()), struct.pack("<H", token))
+            right.append(bytes([page | is_whole << 2 | (token & 15) << 4]) + struct.pack("<HI", seq, crc))
+            if commands != [ITEM] * len(values) + [PAGE] or [data[:7] for data in told.replies] != right:
+                got, should = ([data.hex() for data in said] for said in (told.replies, right))
+                raise broken(
+                    "answers_fit_their_question", f"READ of page {page}, token {token}: {got}, right is {should}"
+                )
 
     def life(self, beat: bytes, status: bytes, now: Seen) -> None:
         """HEARTBEAT and STATUS say what is."""

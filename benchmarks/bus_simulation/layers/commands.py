@@ -79,7 +79,12 @@ class Commands:
         acts = right == OK and data != last
         if acts:
             self._last[kind] = data
-        self._effect(told, acts=acts)
+        kind, data, after = told.command, told.data, told.after
+        name = {SETPOINT: "sp", MODE: "auto", LOAD: "load"}[kind]
+        unchanged("commands_go_forward", told.before, after, *((name,) if acts else ()))
+        aim = data[1] == 1 if kind == MODE else float32(data[1:5])
+        if acts and getattr(after, name) != aim:
+            raise broken("commands_go_forward", f"{name} is {getattr(after, name)}, told was {aim}")
 
     def _inside(self, kind: int, data: bytes) -> bool:
         """Whether the device may do it."""
@@ -88,15 +93,6 @@ class Commands:
             return s.sp_min <= float32(data[1:5]) <= s.sp_max
         co = int.from_bytes(data[2:5], "little", signed=True) * CO_STEP
         return kind == LOAD or data[1] == 1 or s.co_min <= co <= s.co_max
-
-    def _effect(self, told: Told, *, acts: bool) -> None:
-        """What was told is done, and nothing else."""
-        kind, data, after = told.command, told.data, told.after
-        name = {SETPOINT: "sp", MODE: "auto", LOAD: "load"}[kind]
-        unchanged("commands_go_forward", told.before, after, *((name,) if acts else ()))
-        aim = data[1] == 1 if kind == MODE else float32(data[1:5])
-        if acts and getattr(after, name) != aim:
-            raise broken("commands_go_forward", f"{name} is {getattr(after, name)}, told was {aim}")
 
 
 LEASED = {SETPOINT, MODE, LOAD}

@@ -234,7 +234,22 @@ class HostSide:
                 self._aborted.add((self._epoch, u16(data)))
                 self._said = self.heard.place
             case 4:
-                self._stage(data, now_s)
+                item, value, seq = data[0] & 3, float32(data[1:5]), u16(data[5:])
+                proof = self.heard.proved.get(RUNNING)
+                if proof is None or self.heard.identity < 0:
+                    raise broken("nothing_is_written_unread", f"STAGE {data.hex()} with {proof}")
+                intent = next((body for kind, body in reversed(self._rows) if kind == "intent"), None)
+                if not isinstance(intent, PidGains) or _three(intent)[item] != value:
+                    raise broken("recorded_before_it_is_written", f"STAGE {data.hex()}, the ledger has {intent}")
+                if now_s - self._lease_sent_s >= self._length_s:
+                    raise broken(
+                        "the_lease_comes_first", f"STAGE {data.hex()}, LEASE was sent at {self._lease_sent_s} s"
+                    )
+                used_up = (proof.epoch % 8192, seq) in self._used_up
+                if used_up or (proof.epoch, seq) in self._aborted or seq == proof.seq:
+                    raise broken("used_numbers_stay_used", f"STAGE {data.hex()}, set {proof.seq} runs")
+                self._staged[item] = seq, value
+                self._said = self.heard.place
             case 5:
                 self._commit(data, now_s)
             case 6 | 7:
@@ -265,23 +280,6 @@ class HostSide:
             raise broken("leases_are_asked_for_rightly", f"LEASE {data.hex()} is no time of {self.heard.epochs}")
         self._counter, self._lease_sent_s = counter, now_s
 
-    def _stage(self, data: bytes, now_s: float) -> None:
-        """STAGE: recorded before, under the lease or a request for it, and with a number that is not used up."""
-        item, value, seq = data[0] & 3, float32(data[1:5]), u16(data[5:])
-        proof = self.heard.proved.get(RUNNING)
-        if proof is None or self.heard.identity < 0:
-            raise broken("nothing_is_written_unread", f"STAGE {data.hex()} with {proof}")
-        intent = next((body for kind, body in reversed(self._rows) if kind == "intent"), None)
-        if not isinstance(intent, PidGains) or _three(intent)[item] != value:
-            raise broken("recorded_before_it_is_written", f"STAGE {data.hex()}, the ledger has {intent}")
-        if now_s - self._lease_sent_s >= self._length_s:
-            raise broken("the_lease_comes_first", f"STAGE {data.hex()}, LEASE was sent at {self._lease_sent_s} s")
-        used_up = (proof.epoch % 8192, seq) in self._used_up
-        if used_up or (proof.epoch, seq) in self._aborted or seq == proof.seq:
-            raise broken("used_numbers_stay_used", f"STAGE {data.hex()}, set {proof.seq} runs")
-        self._staged[item] = seq, value
-        self._said = self.heard.place
-
     def _commit(self, data: bytes, now_s: float) -> None:
         """COMMIT: once, under a lease that is granted and not over, of what was read back as it was staged."""
         seq, base, crc = u16(data), u16(data[2:]), int.from_bytes(data[4:], "little")
@@ -299,22 +297,19 @@ class HostSide:
         said = struct.pack("<HH", base, self._settings.owner)
         if running is None or crc != set_crc(self._settings.node, staged.epoch, seq, staged.gains, said):
             raise broken("a_commit_says_what_it_means", f"COMMIT {data.hex()} of {staged} on {running}")
-        self._code(staged, base)
-        self._said = self.heard.place
-
-    def _code(self, staged: Proof, base: int) -> None:
-        """With a key: both halves right before the commit, over the newest challenge."""
         key, settings, challenge = self._settings.key, self._settings, self.heard.challenge
-        if key is None:
-            return
-        nonce, demanded = challenge or (0, False)
-        said = struct.pack(
-            "<BHQHHH3f", settings.node, staged.epoch, nonce, settings.owner, staged.seq, base, *staged.gains
-        )
-        code = hmac.digest(key, KEYED + said, "sha256")[:12]
-        heads = [bytes([part | (staged.seq & 15) << 4]) for part in (0, 1)]
-        if not demanded or self._auth != [heads[0] + code[:6], heads[1] + code[6:]]:
-            raise broken("codes_are_over_the_newest_challenge", f"{[half.hex() for half in self._auth]}, {challenge}")
+        if key is not None:
+            nonce, demanded = challenge or (0, False)
+            said = struct.pack(
+                "<BHQHHH3f", settings.node, staged.epoch, nonce, settings.owner, staged.seq, base, *staged.gains
+            )
+            code = hmac.digest(key, KEYED + said, "sha256")[:12]
+            heads = [bytes([part | (staged.seq & 15) << 4]) for part in (0, 1)]
+            if not demanded or self._auth != [heads[0] + code[:6], heads[1] + code[6:]]:
+                raise broken(
+                    "codes_are_over_the_newest_challenge", f"{[half.hex() for half in self._auth]}, {challenge}"
+                )
+        self._said = self.heard.place
 
     # What it tells
 

@@ -34,10 +34,6 @@ class Law:
             if abs(co - aim) > RELATIVE * size + ABSOLUTE:
                 raise broken("output_follows_the_law", f"co is {co}, {aim} follows from the sample before, under {k}")
         self._pv, self._rate = pv, rate
-        self._note(after, co, dt_s)
-
-    def _note(self, after: Seen, co: float, dt_s: float) -> None:
-        """The integral that the next sample begins with, unless a limit has its say."""
         s, k = self._device.settings, after.running.gains
         more = k.ki * (after.sp - self._pv) * dt_s
         inside = s.co_min < co < s.co_max and s.co_min < co + more < s.co_max

@@ -98,27 +98,21 @@ class OneWrong:
                 payload = struct.pack("<BfH", item | owner % 64 << 2, value, seq)
                 self._say(STAGE, payload, flaw=rng.randrange(1, 256) if flaw == "checksum" else 0)
         named = (base + 9) % 65536 if flaw == "base" else base
-        self._send_codes(flaw, (node, epoch, owner, seq, named, gains))
+        single = struct.unpack("<3f", struct.pack("<3f", *gains))
+        if self._codes.key is not None and flaw != "no code":
+            nonce = self._codes.nonce
+            if flaw in {"nonce", "codes of before"}:
+                nonce = self._codes.before if flaw == "codes of before" else nonce ^ 1
+            code = self._codes.code(nonce, node, epoch, owner, seq, named, single)
+            for part, half in enumerate((code[:6], code[6:])):
+                wrong = flaw == ("low half", "high half")[part]
+                self._say(AUTH, bytes([part | (seq & 15) << 4, half[0] ^ wrong]) + half[1:])
         wide = (node % 63 + 1 if flaw == "node" else node, (epoch - 1) % 65536 if flaw == "epoch" else epoch)
         said = struct.pack(
             "<HH", (named + 1) % 65536 if flaw == "other base" else named, owner ^ (flaw == "owner") << 8
         )
-        single = struct.unpack("<3f", struct.pack("<3f", *gains))
         crc = set_crc(*wide, seq, single, said) ^ (flaw == "crc")
         self._say(COMMIT, struct.pack("<HHI", seq, named, crc), checked=False)
-
-    def _send_codes(self, flaw: str, about: tuple[int, int, int, int, int, Gains]) -> None:
-        """The code of a commit, in two frames."""
-        if self._codes.key is None or flaw == "no code":
-            return
-        single = struct.unpack("<3f", struct.pack("<3f", *about[5]))
-        nonce = self._codes.nonce
-        if flaw in {"nonce", "codes of before"}:
-            nonce = self._codes.before if flaw == "codes of before" else nonce ^ 1
-        code = self._codes.code(nonce, *about[:5], single)
-        for part, half in enumerate((code[:6], code[6:])):
-            wrong = flaw == ("low half", "high half")[part]
-            self._say(AUTH, bytes([part | (about[3] & 15) << 4, half[0] ^ wrong]) + half[1:])
 
     def _command(self) -> None:
         """A command of the owner's whose counter is old, or of nobody's with a good one."""

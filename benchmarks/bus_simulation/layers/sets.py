@@ -92,7 +92,18 @@ class Sets:
         data, before, after = told.data, told.before, told.after
         got = Ack(told.replies[0]).reason if told.replies else None
         if data == self._of_running or self._waiting or data == self.refused:
-            self._again(told, got)
+            right: int | None = BUSY
+            if told.data == self._of_running:
+                right = OK
+            elif told.data == self._waiting:
+                right = None
+            elif not self._waiting:
+                right = Ack(self._refusal).reason
+                if told.replies != [self._refusal]:
+                    raise broken("commits_are_answered_again", f"{told.replies}, before {self._refusal.hex()}")
+            if got != right:
+                raise broken("commits_are_answered_again", f"{told.data.hex()} gets {got}, right is {right}")
+            unchanged("commits_are_answered_again", told.before, told.after)
             return
         if u16(data) != self.staged()[0]:
             right = NOT_STAGED if newer(u16(data), before.latest) else STALE
@@ -113,21 +124,6 @@ class Sets:
         if after.has_staged:
             raise broken("numbers_are_burnt", f"{after}: the page of a refused COMMIT is still there")
         unchanged("numbers_are_burnt", before, after, "has_staged")
-
-    def _again(self, told: Told, got: int | None) -> None:
-        """A COMMIT that was there, or one while another waits: an answer and no effect."""
-        right: int | None = BUSY
-        if told.data == self._of_running:
-            right = OK
-        elif told.data == self._waiting:
-            right = None
-        elif not self._waiting:
-            right = Ack(self._refusal).reason
-            if told.replies != [self._refusal]:
-                raise broken("commits_are_answered_again", f"{told.replies}, before {self._refusal.hex()}")
-        if got != right:
-            raise broken("commits_are_answered_again", f"{told.data.hex()} gets {got}, right is {right}")
-        unchanged("commits_are_answered_again", told.before, told.after)
 
     def _wrong(self, data: bytes, before: Seen) -> set[int]:
         """Reasons why this commit of the staged page must not run."""
@@ -225,7 +221,11 @@ class Sets:
                 expected, said = before.confirmed, (CONFIRM, before.running.seq, REVERTED)
                 self._of_running = b""
         now = after.running
-        if (now.seq, (now.gains.kp, now.gains.ki, now.gains.kd)) != _plain(expected):
+        if (now.seq, (now.gains.kp, now.gains.ki, now.gains.kd)) != (
+            (expected.seq, (expected.gains.kp, expected.gains.ki, expected.gains.kd))
+            if isinstance(expected, GainSet)
+            else expected
+        ):
             raise broken("commits_meet_every_condition" if said and said[2] == OK else "trials_end",
                          f"{now} runs after a sample, {expected} should")  # fmt: skip
         acks = [Ack(data) for data in replies]
@@ -233,10 +233,3 @@ class Sets:
             raise broken("commits_meet_every_condition", f"a sample says {replies}, right is {said}")
         if after.latest != before.latest or after.confirmed != before.confirmed:
             raise broken("trials_end", f"{after} after {before}")
-
-
-def _plain(content: GainSet | tuple[int, tuple[float, ...]]) -> tuple[int, tuple[float, ...]]:
-    """Number and gains."""
-    if isinstance(content, GainSet):
-        return content.seq, (content.gains.kp, content.gains.ki, content.gains.kd)
-    return content
