@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import partial
 
 import pytest
 
@@ -34,6 +35,7 @@ from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable
 from retuner.session.loop_session import HOLD_SAMPLES, RETRY_SAMPLES, LoopSession
 from retuner.session.scenario import ScenarioPlayer
+from retuner.session.session import Session
 
 LOW, HIGH, BETTER = PidGains(1.0, 0.1), PidGains(2.0, 0.2), PidGains(1.5, 0.15)
 TABLE = GainTable("loop", Regions("sp", "-", ("low", "high"), 0.0, (50.0,), 100.0, 1.0, 0.0), (LOW, HIGH))
@@ -317,6 +319,26 @@ def test_trouble_is_recorded(stage: Stage, event: Event, kind: str) -> None:
     stage.device.events.append(event)
     stage.session.poll(0.0)
     assert stage.log.kinds() == [kind]
+
+
+def test_a_loop_in_the_middle_of_a_write_is_looked_after_between_slow_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A look at one of four loops takes three sample times: after all four a controller's trial may be over."""
+    stages, looks, now = [Stage() for _ in range(4)], list[tuple[int, float]](), [0.0]
+
+    def slow(i: int, now_s: float) -> list[Event]:
+        looks.append((i, now_s))
+        now[0] += 3.0
+        return []
+
+    for i, stage in enumerate(stages):
+        monkeypatch.setattr(stage.device, "poll", partial(slow, i))
+    session = Session([stage.session for stage in stages], print)
+    for writing, seen in ((False, [0, 1, 2, 3]), (True, [0, 1, 2, 2, 3, 2]), (True, [0, 2, 1, 2, 2, 2, 3, 2])):
+        stages[2].device.writing = writing
+        session.poll(now[0], range(4), lambda: now[0])
+        assert [i for i, _ in looks] == seen
+        assert [at for i, at in looks if i == 2] == sorted(at for i, at in looks if i == 2)
+        looks.clear()
 
 
 def test_the_scenario_is_played_once_at_its_times() -> None:

@@ -19,7 +19,7 @@ from retuner.report.event_words import event_line
 from retuner.schedule.table import GainTable
 from retuner.session.loop_session import LoopSession
 from retuner.session.outputs import live_file
-from retuner.session.session import NobodyLooks
+from retuner.session.session import Observer
 
 # ---- From a running session to its live file
 
@@ -114,7 +114,7 @@ def screen_for(as_json: bool, *, answers_only: bool, detail: bool) -> LiveScreen
     return LiveScreen(screen_console(stderr=as_json), quiet=as_json, answers_only=answers_only, detail=detail)
 
 
-class OnScreen(NobodyLooks):
+class OnScreen(Observer):
     """Shows the loops of a run as they go."""
 
     def __init__(self, screen: LiveScreen, config: SessionConfig) -> None:

@@ -39,7 +39,7 @@ from retuner.session.order_queue import OrderDesk, left_before
 from retuner.session.orders import OrderBox
 from retuner.session.outputs import LEDGER, believed_rows, loop_folder, rows_by_loop
 from retuner.session.scenario import ScenarioPlayer
-from retuner.session.session import LoopRecorder, NobodyLooks, Observer, Session
+from retuner.session.session import LoopRecorder, Observer, Session
 from retuner.stopping import unstoppable
 
 if TYPE_CHECKING:
@@ -239,7 +239,7 @@ class Run:
         before: Path | None = None,
     ) -> None:
         self.config = SessionConfig((config,)) if isinstance(config, Config) else config
-        self.keep, self.mode, self.observer = keep, mode, observer or NobodyLooks()
+        self.keep, self.mode, self.observer = keep, mode, observer or Observer()
         self._log = log
         self.session: Session | None = None
         self.stopped_plants: Sequence[str] = ()
@@ -297,7 +297,7 @@ class Run:
 
             def once() -> None:
                 with unstoppable():
-                    session.poll(clock.now_s(), buses.heard())
+                    session.poll(clock.now_s(), buses.heard(), clock.now_s)
                     self._faults(buses)
                 buses.wait_until(clock.now_s() + pause_s)
 

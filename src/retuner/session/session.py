@@ -9,7 +9,6 @@ whose controller was never there, does not hold the others up; a ledger that fai
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import Protocol
 
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.drivers.device import DeviceError
@@ -17,12 +16,14 @@ from retuner.errors import LedgerError
 from retuner.ledger import Recorder
 from retuner.session.loop_session import LoopSession
 
+PROVING_SAMPLES = 30  # within which a set that has been written is confirmed
 
-class Observer(Protocol):
+
+class Observer:
     """Looks on at a session. It is told of everything just after it happened, and asked for nothing.
 
     What it does is done in the middle of the loops' time: it must neither wait nor raise. All that it is given is to be
-    read, not to be changed.
+    read, not to be changed. This one does nothing.
     """
 
     def sampled(self, loop: LoopSession, sample: LoopSample) -> None:
@@ -33,19 +34,6 @@ class Observer(Protocol):
 
     def said(self, text: str) -> None:
         """A line for whoever runs the session."""
-
-
-class NobodyLooks:
-    """The observer of a session that nobody watches."""
-
-    def sampled(self, loop: LoopSession, sample: LoopSample) -> None:
-        """See Observer."""
-
-    def recorded(self, loop: LoopSession | None, kind: str, t_s: float, body: Mapping[str, object]) -> None:
-        """See Observer."""
-
-    def said(self, text: str) -> None:
-        """See Observer."""
 
 
 class LoopRecorder:
@@ -90,6 +78,7 @@ class Session:
         self._say = say
         self._watched = list(self.loops)
         self._polled_s = dict.fromkeys(range(len(self.loops)), float("-inf"))
+        self._writing: dict[int, int] = {}  # samples of a loop when it last was in the middle of a write
 
     @property
     def finished(self) -> bool:
@@ -119,11 +108,13 @@ class Session:
         """Time of the newest sample, s."""
         return max(loop.writer.t_s for loop in self.loops)
 
-    def poll(self, now_s: float, heard: Collection[int] | None = None) -> int:
+    def poll(self, now_s: float, heard: Collection[int] | None = None, clock: Callable[[], float] | None = None) -> int:
         """Take what the devices have to tell; returns the number of samples among it.
 
         heard : indexes of the loops for which frames have come, None where that is not known; the others are looked
-        after once in a sample time.
+        after once in a sample time. clock : tells the time as this goes on: loops in the middle of a write are then
+        looked after once in a sample time between the others too. On a busy machine one look at many loops takes
+        seconds, and a set that is not confirmed within the controller's trial time gives way.
 
         Raises DeviceError: before the first connection: nobody answers for any loop, or the wrong controller does.
         """
@@ -132,20 +123,35 @@ class Session:
             quiet = heard is not None and i not in heard
             if quiet and now_s - self._polled_s[i] < loop.retuner.settings.sample_time_s:
                 continue
-            if len(self.loops) > 1 and (loop.name in self.absent or loop.finished):
-                continue
-            self._polled_s[i] = now_s
-            try:
-                samples += loop.poll(now_s)
-            except DeviceError as error:
-                if len(self._watched) == 1:
-                    raise
-                self._watched.remove(loop)
-                self.absent[loop.name] = str(error)
-                loop.tell_absent(str(error))
-                self._say(f"{loop.name}: {error}; the other loops go on without it")
-            if len(self.loops) > 1 and loop.finished:
-                loop.device.release(now_s)
+            samples += self._poll(i, max(now_s, self._polled_s[i]))
+            if clock is not None and self._writing:
+                for j in tuple(self._writing):
+                    later_s = clock()
+                    if later_s - self._polled_s[j] >= self.loops[j].retuner.settings.sample_time_s:
+                        samples += self._poll(j, later_s)
+        return samples
+
+    def _poll(self, i: int, now_s: float) -> int:
+        loop, samples = self.loops[i], 0
+        if len(self.loops) > 1 and (loop.name in self.absent or loop.finished):
+            self._writing.pop(i, None)
+            return 0
+        self._polled_s[i] = now_s
+        try:
+            samples = loop.poll(now_s)
+        except DeviceError as error:
+            if len(self._watched) == 1:
+                raise
+            self._watched.remove(loop)
+            self.absent[loop.name] = str(error)
+            loop.tell_absent(str(error))
+            self._say(f"{loop.name}: {error}; the other loops go on without it")
+        if loop.device.writing:
+            self._writing[i] = loop.samples
+        elif i in self._writing and loop.samples - self._writing[i] >= PROVING_SAMPLES:
+            del self._writing[i]
+        if len(self.loops) > 1 and loop.finished:
+            loop.device.release(now_s)
         return samples
 
     def stop(self, reason: str) -> None:
