@@ -223,13 +223,12 @@ class PidController(display_hook.Drawn, Closes):
         place = _Place(t_s, xs, region, self._retuner.table, state, sp, pv)
         co, limited = place.pid[3], int(place.pid[LIMITED])
         mode = LoopMode.AUTO if manual_co is None else LoopMode.MANUAL
-        xs = place.xs
-        sample = LoopSample(place.t_s, sp, pv, co, mode, limited, xs[0], self._retuner.table.revision, xs[1])
+        sample = LoopSample(t_s, sp, pv, co, mode, limited, xs[0], self._retuner.table.revision, xs[1])
         self._place = place  # before anybody may break off what follows: the time of the next sample goes on from here
         self._decision = (self._background or self._retuner).observe(sample)
         if self._retuner.sample_number == WARMS_AT:
             warm_up_beside()
-        self._history.add((place.t_s, sp, pv, co, self._law.kp, self._law.ki, self._law.kd))
+        self._history.add((t_s, sp, pv, co, self._law.kp, self._law.ki, self._law.kd))
         if self._decision is not None:
             self._obey(self._decision)
         return co

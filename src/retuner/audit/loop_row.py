@@ -129,6 +129,7 @@ def _row(tag: str, read: Iterator[LoopRecord], settings: AuditSettings, *, commo
         begin_s, since = seen.begin_s, verdict.since_s
         named = verdict.cause != Cause.UNKNOWN
         avoidable = verdict.avoidable if named or 0 < verdict.avoidable < 1 else None
+        # the trends of several records as one, where their times tell how they follow; else the longest
         if len(seen.trends) == 1 or len({later_s for later_s, _ in seen.trends}) < len(seen.trends):
             one_trend = max((trend for _, trend in seen.trends), key=lambda trend: trend["t_s"][-1] - trend["t_s"][0])
         else:

@@ -266,13 +266,13 @@ def valve(options: ValveOptions) -> int:
             else:
                 told.append((1, move * step))
         moves = ", ".join(f"{count} x {move:+g}" if count > 1 else f"{move:+g}" for count, move in told)
-        valve_moves = [
+        lines = [
             "In manual, move co by these steps; hold each for four times the time to half of pv's change:",
             f"  {moves}",
             "Record time, co and pv, then: retuner experiment valve --from FILE",
             "On a controller that is configured: retuner experiment valve CONFIG --step STEP --hold SECONDS",
         ]
-        sys.stdout.write("\n".join(valve_moves) + "\n")
+        sys.stdout.write("\n".join(lines) + "\n")
         return 0
     read = read_record([options.file], options)
     tell_assumed(read.assumed, options)

@@ -67,7 +67,7 @@ def leave(
     if job.config.several:
         reports = {one.loop.name: str(one.report) for one in left}
         scores = {one.loop.name: one.scores for one in left}
-        index_lines = [
+        lines = [
             LoopLine(
                 loop.name,
                 reports.get(loop.name),
@@ -77,7 +77,7 @@ def leave(
             )
             for loop in session.loops
         ]
-        job.unwritten.write(job.folder / REPORT, render_index(index_lines, _facts(job, ledger, LOOPS)))
+        job.unwritten.write(job.folder / REPORT, render_index(lines, _facts(job, ledger, LOOPS)))
     # the result as a file, and for whoever asked for it
     folder, several = job.folder, job.config.several
     results = [result(one, ledger, folder / one.report.parent) for one in left]
