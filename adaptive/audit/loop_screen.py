@@ -111,7 +111,22 @@ def screen_loop(record: Window, delay_s: float | None = None, *, setpoint: bool 
     sums = record_sums(record, by)
     limits, days = [side for side in (sums.low, sums.high) if sums.limit(n, side)], sums.held_s / DAY_S
     wave, swinging = lasting_swing(record.sp - record.pv, record.co) or (NO_WAVE, 0.0)
-    traits = _traits(record, sums, noise, limits)
+    # what the condition of the whole record is told from
+    spread = math.sqrt(sums.error_variance)
+    of_noise = NOISE_RATIO / math.sqrt(min(AVERAGED, max(n // 8, 1)))
+    traits = Traits(
+        dead_pv=sums.pv_high - sums.pv_low <= DEAD * max(abs(sums.pv_low), abs(sums.pv_high)),
+        dead_co=sums.co_high - sums.co_low <= DEAD * max(abs(sums.co_low), abs(sums.co_high)),
+        still=sums.still / n,
+        at_limit=sum(side.samples for side in limits) / n,
+        sp_moving=sums.sp_moves / (n - 1),
+        offset=abs(sums.error_mean) / spread if spread > 0 else 0.0,
+        pv_moves=sums.pv_slow > of_noise * noise[0],
+        co_moves=sums.co_slow > of_noise * noise[1],
+        asks=lambda: asks(record),
+        escapes=lambda: escapes(record),
+        runs=lambda: runs_by_itself(record),
+    )
     # how far the error at a limit is all of one sign: a limit that binds leaves it on one side
     size = sum(side.size for side in limits)
     return LoopScreen(
@@ -217,25 +232,6 @@ def in_automatic(co: FloatArray, by: Measure, sums: RecordSums, limits: Sequence
         there = runs((np.diff(co) == 0) & (co[1:] == value))
         still -= float(np.sum(there[there >= by.shortest]))
     return 1 - max(still, 0.0) / len(co)
-
-
-def _traits(record: Window, sums: RecordSums, noise: tuple[float, float], limits: Sequence[AtExtreme]) -> Traits:
-    """What the condition of the whole record is told from; noise : of pv and of co."""
-    n, spread = len(record.t_s), math.sqrt(sums.error_variance)
-    of_noise = NOISE_RATIO / math.sqrt(min(AVERAGED, max(n // 8, 1)))
-    return Traits(
-        dead_pv=sums.pv_high - sums.pv_low <= DEAD * max(abs(sums.pv_low), abs(sums.pv_high)),
-        dead_co=sums.co_high - sums.co_low <= DEAD * max(abs(sums.co_low), abs(sums.co_high)),
-        still=sums.still / n,
-        at_limit=sum(side.samples for side in limits) / n,
-        sp_moving=sums.sp_moves / (n - 1),
-        offset=abs(sums.error_mean) / spread if spread > 0 else 0.0,
-        pv_moves=sums.pv_slow > of_noise * noise[0],
-        co_moves=sums.co_slow > of_noise * noise[1],
-        asks=lambda: asks(record),
-        escapes=lambda: escapes(record),
-        runs=lambda: runs_by_itself(record),
-    )
 
 
 def harris_index(r: FloatArray, delay: int) -> float:

@@ -348,7 +348,16 @@ def changes_of(misfit: "Misfit", at: "Projection") -> list[FloatArray]:
     if misfit.type in INVERSE:
         found.append(_by_dynamics(misfit, at, dynamics, late, By.INVERSE))
     if misfit.type in THIRD:
-        found.append(_by_third(misfit, at))
+        # by ln d: a lag takes away what it would take away once more, -d s / (1 + d s) of what came through
+        places = [*range(at.priors - int(misfit.ramp)), *range(at.priors, at.priors + misfit.loads)]
+        slope = misfit.lagged(at.p, at.moved) - at.moved
+        for place in places:
+            column = at.columns[:, place]
+            change = misfit.lagged(at.p, column) - column
+            peak = int(np.argmax(np.abs(column)))
+            if column[peak]:
+                slope += at.c[place] * (change - change[peak] / column[peak] * column)
+        found.append(slope)
     found += [_summed(misfit, at, [_load_change(misfit, at, dynamics, j)]) for j in range(misfit.loads)]
     if misfit.rounded:
         lag = math.exp(p[d + misfit.loads])
@@ -358,20 +367,14 @@ def changes_of(misfit: "Misfit", at: "Projection") -> list[FloatArray]:
                                  for j, s in enumerate(since) if not misfit.is_corner(j)])
         )  # fmt: skip
     if misfit.harmonics:
-        found.append(_by_tone(misfit, at))
-    return found
-
-
-def _by_third(misfit: "Misfit", at: "Projection") -> FloatArray:
-    """Slope by ln d: a lag takes away what it would take away once more, -d s / (1 + d s) of what came through."""
-    places = [*range(at.priors - int(misfit.ramp)), *range(at.priors, at.priors + misfit.loads)]
-    found = misfit.lagged(at.p, at.moved) - at.moved
-    for place in places:
-        column = at.columns[:, place]
-        change = misfit.lagged(at.p, column) - column
-        peak = int(np.argmax(np.abs(column)))
-        if column[peak]:
-            found += at.c[place] * (change - change[peak] / column[peak] * column)
+        # by the logarithm of the tones' frequency
+        t, w, place = misfit.record.t_s, math.exp(at.p[-1]), at.priors + misfit.loads
+        slope = np.zeros(len(t))
+        for i in range(1, misfit.harmonics + 1):
+            cosine, sine = at.columns[:, place], at.columns[:, place + 1]
+            slope += i * w * t * (at.c[place + 1] * cosine - at.c[place] * sine)
+            place += 2
+        found.append(slope)
     return found
 
 
@@ -442,14 +445,3 @@ def _load_change(misfit: "Misfit", at: "Projection", dynamics: Dynamics, j: int)
         lag = math.exp(at.p[d + misfit.loads])
         return at.priors + j, dynamics.rounded_step(since, lag), -rounded_rise(dynamics, since, lag)
     return at.priors + j, dynamics.step(since), -dynamics.impulse(since)
-
-
-def _by_tone(misfit: "Misfit", at: "Projection") -> FloatArray:
-    """Slope by the logarithm of the tones' frequency."""
-    t, w, place = misfit.record.t_s, math.exp(at.p[-1]), at.priors + misfit.loads
-    found = np.zeros(len(t))
-    for i in range(1, misfit.harmonics + 1):
-        cosine, sine = at.columns[:, place], at.columns[:, place + 1]
-        found += i * w * t * (at.c[place + 1] * cosine - at.c[place] * sine)
-        place += 2
-    return found

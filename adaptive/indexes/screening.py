@@ -28,7 +28,6 @@ from types import MappingProxyType
 import numpy as np
 
 from retuner.adaptive.indexes.autocovariance import (
-    Regularity,
     crossings,
     decay_ratio,
     detrended,
@@ -221,7 +220,19 @@ def screen(
         found |= {"overshoot": seen.overshoot, "damping": seen.damping}
     period_s = None
     if np.ptp(window.pv) > 0 and np.ptp(window.co) > 0:
-        found |= _movement(window, gains, wave)
+        e = window.sp - window.pv
+        width = max(int(wave.period / STRETCHES_PER_PERIOD), 1) if wave is not None else 3
+        found |= {
+            "jump_share": jump_share(window.pv, window.co),
+            "flat_share": flat_share(window.pv, window.co, width),
+            "kurtosis_pv": kurtosis(window.pv),
+            "kurtosis_co": kurtosis(window.co),
+            "decay_ratio": decay_ratio(e),
+        }
+        if gains is not None and np.ptp(window.sp) == 0:
+            found["idle_index"] = idle_index(window.pv, window.co, gains.direction, width)
+        if wave is not None:
+            found |= {"regularity": wave.regularity, "cycles": wave.cycles, "strength": wave.strength}
         if wave is not None and wave.cycles >= FEWEST_CYCLES and wave.strength >= SHAPE_STRENGTH:
             more, refined_s = _shape(window, gains, wave.period * window.sample_time_s)
             found |= more
@@ -245,23 +256,6 @@ def _recording(window: Window, limits: AtLimits) -> dict[str, float | None]:
         found |= plain_values(pv, "noise_share quantum_pv=quantum repeated_pv=repeated compression_pv=compression")
     if co is not None:
         found |= {"quantum_co": co.quantum, "repeated_co": co.repeated, "compression_co": co.compression}
-    return found
-
-
-def _movement(window: Window, gains: PidGains | None, wave: Regularity | None) -> dict[str, float | None]:
-    e = window.sp - window.pv
-    width = max(int(wave.period / STRETCHES_PER_PERIOD), 1) if wave is not None else 3
-    found: dict[str, float | None] = {
-        "jump_share": jump_share(window.pv, window.co),
-        "flat_share": flat_share(window.pv, window.co, width),
-        "kurtosis_pv": kurtosis(window.pv),
-        "kurtosis_co": kurtosis(window.co),
-        "decay_ratio": decay_ratio(e),
-    }
-    if gains is not None and np.ptp(window.sp) == 0:
-        found["idle_index"] = idle_index(window.pv, window.co, gains.direction, width)
-    if wave is not None:
-        found |= {"regularity": wave.regularity, "cycles": wave.cycles, "strength": wave.strength}
     return found
 
 

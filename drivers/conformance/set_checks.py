@@ -137,27 +137,22 @@ def refusing(found: Examination) -> None:
     _refusal(found, "gains 10,000 times as small", tiny, lambda seq: talk.commit(seq, tiny), (wire.Reason.RATIO,))
     talk.samples(1)  # a set that was refused and yet waits would run from here on
     found.runs("a sample after refused COMMITs", talk.known.gains)
-    _switched_on(found)
+    # a gain that is off may be switched on by any ratio, so here the largest magnitude alone must hold
+    off = replace(good, kd=0.0)
+    if off.kp or off.ki:
+        talk.write(off)
+        found.confirmed()
+        huge = replace(off, kd=LARGEST * off.direction)
+        _raw_refusal(found, "a kd of 9e11", (huge.kp, huge.ki, huge.kd), (wire.Reason.OUTSIDE_BOX,))
+        talk.write(good)
+        found.confirmed()
+    else:
+        found.left_out.append("the largest magnitude of a gain: this device runs kd alone")
     down = PidGains(-good.kp, -good.ki, -good.kd)
     _refusal(found, "gains of the other sign", down, lambda seq: talk.commit(seq, down), far)
     _raw_refusal(found, "gains that are all zero", (0.0, 0.0, 0.0), mixed)
     _raw_refusal(found, "gains of two signs", (good.kp or 1.0, -(good.ki or 1.0), good.kd), mixed)
     _numbers(found)
-
-
-def _switched_on(found: Examination) -> None:
-    """A gain that is off may be switched on by any ratio, so here the largest magnitude alone must hold."""
-    talk, good = found.talk, found.other
-    off = replace(good, kd=0.0)
-    if not (off.kp or off.ki):
-        found.left_out.append("the largest magnitude of a gain: this device runs kd alone")
-        return
-    talk.write(off)
-    found.confirmed()
-    huge = replace(off, kd=LARGEST * off.direction)
-    _raw_refusal(found, "a kd of 9e11", (huge.kp, huge.ki, huge.kd), (wire.Reason.OUTSIDE_BOX,))
-    talk.write(good)
-    found.confirmed()
 
 
 def _refusal(

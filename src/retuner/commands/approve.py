@@ -127,7 +127,16 @@ def approve(options: ApproveOptions) -> int:
     if unlock is not None and options.into is not None:
         raise UserError("--into: takes up a proposed schedule; omit it to unlock a region")
     if unlock is not None:
-        return _unlock(only_place(session, options.loop), unlock, options)
+        place = only_place(session, options.loop)
+        names = [one.name for one in place.config.schedule.regions]
+        if options.digest is not None:
+            raise UserError("--unlock: names a region; a hash is approved without it")
+        if unlock not in names:
+            raise UserError(f"--unlock {unlock}: there is no such region; there are {', '.join(names)}")
+        file = place.put(OrderKind.UNLOCK, options, region=unlock)
+        unlocked = {"session": str(place.session), "unlocked": unlock, "file": str(file)}
+        tell(unlocked, [f"{unlock}: {place.who_acts()}"], as_json=options.as_json)
+        return 0
     if digest is None and options.into is not None:
         raise UserError(f"--into: give the hash of the schedule as well; `retuner approve {session}` lists them")
     if digest is None:
@@ -218,18 +227,6 @@ def revert(options: RevertOptions) -> int:
     }
     back = f"{change.region} back to {settings_text(change.before)}, as before decision {decision}"
     tell(document, [f"{back}: {place.who_acts()}"], as_json=options.as_json)
-    return 0
-
-
-def _unlock(place: LoopPlace, region: str, options: ApproveOptions) -> int:
-    names = [one.name for one in place.config.schedule.regions]
-    if options.digest is not None:
-        raise UserError("--unlock: names a region; a hash is approved without it")
-    if region not in names:
-        raise UserError(f"--unlock {region}: there is no such region; there are {', '.join(names)}")
-    file = place.put(OrderKind.UNLOCK, options, region=region)
-    document = {"session": str(place.session), "unlocked": region, "file": str(file)}
-    tell(document, [f"{region}: {place.who_acts()}"], as_json=options.as_json)
     return 0
 
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause
-from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.rules.registry import RULES, explanation, settings
 from retuner.adaptive.rules.rule import ControllerKind, Wishes
@@ -140,7 +139,12 @@ def decision_document(view: DecisionView) -> DecisionDocument:
     rows = [row for row in rows if any(row[1:])]
     models = number(promise, "models")
     over = f" over the {models:.0f} plausible model{'s' * (models != 1)}" if models else ", from what was seen"
-    spread = f"In brackets the smallest and largest value{over}.{_promised_ms(promise)}"
+    ms = numbers_or_none(promise, "ms")
+    predicted_ms = ""
+    if len(ms) == 3:
+        best, low, high = ("unstable" if value is None else _in(value) for value in ms)
+        predicted_ms = f" Predicted Ms: {best} ({low} .. {high})."
+    spread = f"In brackets the smallest and largest value{over}.{predicted_ms}"
     heads = ("", "setpoint step: predicted", "previous settings", "load step: predicted", "previous settings")
     heading = "Predicted performance, against which the next responses are judged"
     if view.rolls_back:
@@ -340,18 +344,15 @@ def _formula(view: DecisionView, wanted: PidGains) -> Sequence[Block]:
         if all(abs(a - b) <= SAME * max(abs(a), abs(b)) for a, b in pairs_):
             told = explanation(rule, kind, sampled, None, wishes, found)
             lines = [*told.formula, *(line for line in told.with_numbers if line not in told.formula)]
-            return Code("\n".join(lines)), Text(f"{_put_in(view, model, kind)} {told.source}".strip(), "muted")
+            adjusted = ["half a sampling interval added to theta"] if view.sample_time_s else []
+            if model.tau2_s and kind == ControllerKind.PI:
+                adjusted.append(
+                    "half of tau2 added to theta"
+                    + (" and half to tau1 (half rule)" if model.tau1_s else " (half rule)")
+                )
+            put_in = f"With {', '.join(adjusted)}." if adjusted else ""
+            return Code("\n".join(lines)), Text(f"{put_in} {told.source}".strip(), "muted")
     return ()
-
-
-def _put_in(view: DecisionView, model: ProcessModel, kind: ControllerKind) -> str:
-    """How the numbers of the formula come from those of the process."""
-    told = ["half a sampling interval added to theta"] if view.sample_time_s else []
-    if model.tau2_s and kind == ControllerKind.PI:
-        told.append(
-            "half of tau2 added to theta" + (" and half to tau1 (half rule)" if model.tau1_s else " (half rule)")
-        )
-    return f"With {', '.join(told)}." if told else ""
 
 
 def _proof(view: DecisionView) -> Sequence[Block]:
@@ -411,14 +412,6 @@ FINDINGS = {
     "worse": "worse than predicted",
     "inconclusive": "not judged",
 }
-
-
-def _promised_ms(promise: Document) -> str:
-    ms = numbers_or_none(promise, "ms")
-    if len(ms) != 3:
-        return ""
-    best, low, high = ("unstable" if value is None else _in(value) for value in ms)
-    return f" Predicted Ms: {best} ({low} .. {high})."
 
 
 def _promised(promise: Document, upset: str, name: str, factor: float, unit: str) -> tuple[str, str]:

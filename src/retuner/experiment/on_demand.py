@@ -166,7 +166,16 @@ class OnDemandExperiment:
         runner, outcome = self._runner, self._outcome
         self._ledger.append("session", {"config": self._config.summary(), "retuner": version("retuner")}, 0.0)
         self._screen.begin(f"{self._config.loop.name}: {runner.plan.kind}")
-        self._conduct()
+        # turn by turn until the old state is back; Ctrl-C is an abort like any other
+        while not runner.phase.over:
+            try:
+                now_s = self._bench.turn()
+                with unstoppable():
+                    runner.poll(now_s)
+            except KeyboardInterrupt:
+                if runner.phase.touched:
+                    self._screen.say("stopping: the initial state is being restored")
+                runner.abort(AbortCause.INTERRUPTED)
         if runner.cause in OPTION_AT_FAULT and not runner.touched:
             raise UserError(f"{OPTION_AT_FAULT[runner.cause]}: {runner.text}; nothing was changed")
         held = bool(runner.plan.hold_s)
@@ -199,19 +208,6 @@ class OnDemandExperiment:
         if runner.cause is AbortCause.INTERRUPTED:
             return INTERRUPTED
         return 0 if runner.cause is None and (usable or held) and not outcome.written else 1
-
-    def _conduct(self) -> None:
-        """Turn by turn until the old state is back; Ctrl-C is an abort like any other."""
-        runner = self._runner
-        while not runner.phase.over:
-            try:
-                now_s = self._bench.turn()
-                with unstoppable():
-                    runner.poll(now_s)
-            except KeyboardInterrupt:
-                if runner.phase.touched:
-                    self._screen.say("stopping: the initial state is being restored")
-                runner.abort(AbortCause.INTERRUPTED)
 
     def _to_ledger(self, kind: str, t_s: float, body: Mapping[str, object]) -> None:
         """A row of the ledger; phases are told on the screen."""
