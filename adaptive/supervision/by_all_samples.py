@@ -28,6 +28,7 @@ from retuner.adaptive.explanations.book import MOST_ROOM, MS_OF_ROOM, ODD, Book,
 from retuner.adaptive.explanations.likely_processes import cost_on, costs
 from retuner.adaptive.explanations.process_grid import EVERY_LAG
 from retuner.adaptive.explanations.settings_by_book import (
+    BookNumbers,
     BookSettings,
     ByBook,
     bears,
@@ -362,14 +363,14 @@ def others_may_tell(
     return region not in own or shown_clearly(known.get(region), own[region], foreign.get(region, 0))
 
 
-def _by_responses(found: Findings, seen: AllSamples, room: float) -> tuple[Plausible, ...] | None:
+def _by_responses(found: Findings, seen: AllSamples, told: BookNumbers) -> tuple[Plausible, ...] | None:
     """Models of responses that more action must bear as well, the likeliest first: by loads alone, that these are steps
     is one more hypothesis, under which it must do no harm. Samples with a setpoint step need none but what clear steps
-    have shown. None where several records identify nothing, because co does nothing: a valve may stand. room : its odds
-    by all samples.
+    have shown. None where several records identify nothing, because co does nothing: a valve may stand.
 
-    Where no two records identify the process, they are those on which the gains in force may be more at all, as all
-    samples say: Ms is good. Where these are sure of room, none is asked.
+    By loads alone all samples are asked whether a model may be the process at all: its Ms under the gains in force lies
+    within the odds of the book. Where no two records identify the process, Ms is to be good as well, and where the book
+    is sure of room no model is asked.
     """
     record, settings = found.record, found.settings
     known, now = record.region_models.get(record.region), record.in_force
@@ -380,11 +381,13 @@ def _by_responses(found: Findings, seen: AllSamples, room: float) -> tuple[Plaus
         much = PidGains(MOST_ROOM * now.kp, MOST_ROOM * now.ki, MOST_ROOM * now.kd)
         if _ms(known.plausible[0], much, settings) <= MS_OF_ROOM:
             return None
-    if known.identifiable and (seen.shown or (seen.by_loads and agreed)):
+    if seen.shown and known.identifiable:
         return known.plausible
     if not seen.by_loads:
         return ()
-    asked = known.plausible if room < settings.book.sure_odds else ()
+    if known.identifiable and agreed:
+        return tuple(one for one in known.plausible if _ms(one, now, settings) <= told.book_ms_high)
+    asked = known.plausible if told.book_room < settings.book.sure_odds else ()
     return tuple(one for one in asked if _ms(one, now, settings) <= settings.book.ms_good)
 
 
@@ -412,7 +415,7 @@ def _proved_by_all_samples(found: Findings, own: Outcome, seen: AllSamples) -> O
     less = told.leans < 0
     if valve_explains_more(look.window, book, MOST_VALVE if told.numbers.book_high >= settings.book.less_odds else 0.0):
         return None
-    also = () if less else _by_responses(found, seen, told.numbers.book_room)
+    also = () if less else _by_responses(found, seen, told.numbers)
     if also is None:
         return None
     known = KnownProcesses(record.table, record.region_models, float(record.window.t_s[-1]), settings)
