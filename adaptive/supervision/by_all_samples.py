@@ -426,7 +426,7 @@ def _proved_by_all_samples(found: Findings, own: Outcome, seen: AllSamples) -> O
     if not proof.accepted or proof.gains is None:
         return None
     sets = record.in_force, proof.gains
-    if also:  # on the likeliest of them, how much less does it cost, ln?
+    if also and not seen.by_loads:  # on the likeliest of them, how much less does it cost, ln?
         process = also[0].model.seen_by_controller(settings.sample_time_s).linear()
         stays, goes = (
             cost_on(process, _ms(also[0], one, settings), one, book.dt_s, settings.book.cost) for one in sets
