@@ -66,13 +66,11 @@ class BookSettings:
     unstable_share: float = setting(0.02, "Share of the odds that may be unstable", "0..0.05")
     less_odds: float = setting(0.85, "Odds of ms_high from which less action follows", "0.5..0.9")
     sure_odds: float = setting(0.95, "Odds from which it does at once, behind a whole window", "0.9..0.99")
-    more_odds: float = setting(
-        0.85, "Odds of being cheaper, and of a good Ms, from which more action follows", "0.5..0.9"
-    )
+    more_odds: float = setting(0.85, "Odds of being cheaper from which more action follows", "0.5..0.9")
     restless: float = setting(0.3, "Share of samples outside the noise band from which a load wanders", "0.1..0.9")
     most: float = setting(0.7, "How much a change may save or cost on a process", "0.2..2.5", "ln 2: it is on trial")
     borne_out: float = setting(
-        2 / 3, "Odds of being better that less action needs", "0.5..0.9", "60 changes, seeds 9331 to 9361"
+        2 / 3, "Odds of being better that a change needs by loads alone", "0.5..0.9", "60 changes, seeds 9331 to 9361"
     )
     room: float = setting(1.8, "Times as much of all actions that a loop with room bears", "1.5..3")
     cost: WorthSettings = field(default_factory=lambda: WorthSettings(ms_calm=1.68))
@@ -173,7 +171,7 @@ def by_book(book: Book, gains: PidGains, settings: BookSettings) -> ByBook:
         return said
     least = settings.bad_share if leans < 0 else 0.0
     asked = [one for one, odds in zip(by_orders, book.orders, strict=False) if odds >= least]
-    if any(gain(one, gains, best[1], settings)[1] < HALF for one in asked):
+    if any(gain(one, gains, best[1], settings)[1] < settings.borne_out for one in asked):
         return said
     worth, new, peaks = best
     proved = ~drawn.runs_away & ((ms <= settings.ms_bad) | (peaks < ms) | (leans < 0))
@@ -273,7 +271,7 @@ def _bearable(
             yield factor
 
 
-HALF = 0.5  # odds of being better that less action, or a shorter integral time, needs under each order of load
+HALF = 0.5  # odds up to which a shorter integral time may be too short under each order of load
 SLACK, PER_PROCESS = 1.25, 300
 """The rule's integral time over one that is too short for it; times that a process with all of the weight counts."""
 
@@ -295,8 +293,7 @@ def _best(
     (stays, before), found = costs(drawn, gains, settings.cost), []
     for new in candidates:
         peaks = drawn.peaks(new)
-        good = float(drawn.weights @ (peaks <= settings.ms_good)) >= settings.more_odds
-        if more and not (good and _harmless(drawn, before, peaks, settings)):
+        if more and not _harmless(drawn, before, peaks, settings):
             continue
         if not more and lets_go(drawn, gains, new, settings):
             continue
