@@ -399,7 +399,7 @@ def proposal_by_all_samples(found: Findings, own: Outcome, seen: AllSamples) -> 
     """The change that is worth having over the book, proved as any other; None where the case is not the book's.
 
     own : what follows from the response, which is no change. More action is proved on models of responses as well; on
-    the likeliest of these what is proved is to be worth a change.
+    the likeliest of these what is proved is to be worth a change, where clear steps have shown it.
     """
     look = seen.look
     if look is None or not _may_speak(found, own, look, seen) or (seen.shown and _rests(found, look)):
@@ -426,7 +426,7 @@ def _proved_by_all_samples(found: Findings, own: Outcome, seen: AllSamples) -> O
     if not proof.accepted or proof.gains is None:
         return None
     sets = record.in_force, proof.gains
-    if also and not seen.by_loads:  # on the likeliest of them, how much less does it cost, ln?
+    if also and seen.shown:  # on the likeliest of them, how much less does it cost, ln?
         process = also[0].model.seen_by_controller(settings.sample_time_s).linear()
         stays, goes = (
             cost_on(process, _ms(also[0], one, settings), one, book.dt_s, settings.book.cost) for one in sets
