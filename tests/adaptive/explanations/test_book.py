@@ -890,10 +890,10 @@ def test_on_a_process_that_steps_have_shown_it_speaks_where_the_pipeline_cannot_
 def test_more_action_is_proved_on_what_responses_have_shown(
     records: int, times: float, room: float, share: str, *, shown: bool, identifiable: bool
 ) -> None:
-    """By loads alone. On 4 K the gains in force are the good ones, so a part of the change is proved, which is not worth
-    it where clear steps have shown that process; on 40 K they are unstable, and on both two records that agree are out
-    of the odds of all samples. One record is not asked where these are sure of room. On 0.01 K co does next to nothing:
-    two records that identify nothing say no more.
+    """By loads alone. On 4 K the gains in force are the good ones: a part of the change is proved, and is not worth it
+    where clear steps have shown that process. On 40 K they are unstable. All samples refute both where two records
+    agree. One record is not asked where these are sure of room. On 0.01 K co does next to nothing: two records that
+    identify nothing say no more.
     """
     step = _follows(records, times, room, shown=shown, identifiable=identifiable, by_loads=True)
     assert {0.0: "none", 1.0: "whole"}.get(step, "part") == share
