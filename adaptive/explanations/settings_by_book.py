@@ -81,8 +81,8 @@ class BookSettings:
 
 LESS, LONGER = (0.85, 0.75, 0.65, 0.55, 0.45, 0.35), (1.0, 1.5, 2.0, 4.0)
 """Times all actions, and times the integral time, that are tried for a loop with too little robustness."""
-MORE, SHORTER = (1.0, 1.25, 1.4, 1.6, 2.0), (1.0, 0.7, 0.5)  # factors on gain and integral time for a loop that has room
-SHORTEST = (0.35, 0.25)  # factors on the integral time with less gain
+MORE, SHORTER = (1.0, 1.25, 1.4, 1.6, 2.0), (1.0, 0.7, 0.5)  # on gain and integral time of a loop that has room
+SHORTEST = (0.35, 0.25)  # on the integral time with less gain
 AT_ONCE, PROVED_ON = 2.5, 12
 """Times the integral action that a change may make of it; processes on which one is proved, spread over the odds."""
 Kind = tuple[tuple[float, ...], tuple[float, ...], float, float]
