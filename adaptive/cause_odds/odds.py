@@ -45,7 +45,6 @@ from retuner.adaptive.identification.candidate import Candidate
 from retuner.adaptive.indexes.condition import Condition, record_condition
 from retuner.adaptive.indexes.recording_quality import held_together
 from retuner.adaptive.loop.margins import sensitivity_peak
-from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
@@ -129,8 +128,7 @@ def diagnose_records(
     tests = [w for w, f in zip(windows, each, strict=True) if _final(w, f) and _in_steps(w)]
     asked = [*(w for w, _ in open_ones), *tests]
     signs = (sign,) if sign else (1, -1)
-    fitted = told.fits["linear"].model if "linear" in told.fits else None
-    walks = [w for one in signs if (w := _walk(asked, known, one, settings, fitted)) is not None]
+    walks = [w for one in signs if (w := _walk(asked, known, one, settings)) is not None]
     walk = min(walks, key=lambda w: w.valve, default=None)  # of either sign, where none is known
     if walk is None:
         return OddsFound(_alone(told, settings), record=at)
@@ -183,11 +181,8 @@ def _alone(found: RecordVerdict, settings: OddsSettings) -> RecordVerdict:
     return replace(found, diagnosis=replace(told, confidence=min(told.confidence, p), causes=shares))
 
 
-def _walk(
-    windows: Sequence[Window], gains: PidGains | None, direction: int, settings: OddsSettings,
-    fitted: ProcessModel | None = None,
-) -> Walk | None:  # fmt: skip
-    """All records and windows under a load that wanders, on one clock; None where nothing moves. fitted : by a fit."""
+def _walk(windows: Sequence[Window], gains: PidGains | None, direction: int, settings: OddsSettings) -> Walk | None:
+    """All records and windows under a load that wanders, on one clock; None where nothing moves."""
     found = compared(windows, gains, direction, settings)
     if found is None:
         return None
@@ -197,12 +192,12 @@ def _walk(
         longer = (part for w in windows for part in windows_of(w, 2.0 * found.dt_s, settings.most_windows // 2))
         coarser = (Prepared.at(part, 2.0 * found.dt_s) for part in longer)
         seen = tuple(with_smoothing(one, direction, None, settings.smooths)[0] for one in coarser)
-    valve = log_odds_of_valve(seen, direction, fitted=fitted)
+    valve = log_odds_of_valve(seen, direction)
     slips = [WEIGHT * log_odds_of_slips(Prepared.at(w, w.sample_time_s), direction) for w in windows if valve < SEEN]
     if max(slips, default=0.0) > 0.0:
         valve = max(valve, sum(max(one, UNSEEN) for one in slips))
     longest = max(range(len(records)), key=lambda i: len(records[i].pv))
-    along = gain_along_pv(records, direction, found.powers, fitted)
+    along = gain_along_pv(records, direction, found.powers)
     total = np.sum(found.weighed, axis=0)
     return Walk(total, valve, along, records[longest], found.each[longest], max(found.shares))
 

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from retuner.adaptive.explanations.valve_odds import DEAD_TIMES, LAGS, LOADS
+from retuner.adaptive.explanations.valve_odds import COARSE, LAGS, LOADS
 from retuner.adaptive.explanations.wandering_load import TEMPER, Prepared, log_likelihood, under_loads
 from retuner.adaptive.signals.sample import FloatArray
 
@@ -42,5 +42,5 @@ def with_smoothing(
 
 def _likeliest(record: Prepared) -> float:
     """Tempered log-likelihood of the likeliest process and load, on a coarse grid."""
-    fits = [under_loads(record, record.co[None], lag, LOADS, DEAD_TIMES) for lag in LAGS]
+    fits = [under_loads(record, record.co[None], lag, LOADS, COARSE) for lag in LAGS]
     return max(float(np.max(-fit.freedom[:, None] / 2 * np.log(fit.left.min(axis=2)))) for fit in fits) / TEMPER

@@ -174,6 +174,8 @@ def _in_parts(
     length, shown = len(error) // PARTS, list[tuple[float, Window, list[Candidate]]]()
     for i in range(PARTS):
         part = window.part(slice(i * length, (i + 1) * length))
+        if not (np.ptp(part.pv) > 0 and np.ptp(part.co) > 0):  # at rest, without any noise
+            continue
         found = linear(part, (gains.direction,), settings.fit.choice, settings.fit.most_samples)
         fit = found[0].fit
         if fit.misfit.type in INTEGRATES and fit.misfit.loads < most and residual(found[0]) <= settings.tone_explains:

@@ -10,7 +10,8 @@ model foretells, the other where loads do. Only what co does from where it is co
 known, and a self-regulating process and a tank are told by the same series. A linear loop has little to gain from h:
 of 120 in the world of benchmarks/world none had a B over 0.7, of 80 that bend 22 over e (17 with x alone). One
 process explains all windows and records: a range of pv that one window alone visits says nothing, two ranges do. The
-mean over h is the price of its numbers.
+mean over h is the price of its numbers. Where the grid says that a record bends, both sides have the process that suits
+them best (process_grid.py), and where z does, its rival has loads alone that change along pv: x of dco/h.
 """
 
 import math
@@ -18,9 +19,19 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from retuner.adaptive.explanations.valve_odds import DEAD_TIMES, LAGS, LOADS, lags_of, log_mean, through_lag
+from retuner.adaptive.explanations.process_grid import ENOUGH, likeliest, nearest, second_lags
+from retuner.adaptive.explanations.valve_odds import (
+    CLOSER,
+    CLOSER_LOADS,
+    COARSE,
+    LAGS,
+    LATEST,
+    LOADS,
+    NEAR_LOADS,
+    Loads,
+    log_mean,
+)
 from retuner.adaptive.explanations.wandering_load import TEMPER, Prepared, UnderLoads, under_loads
-from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.signals.sample import FloatArray, quantile
 from retuner.schedule.late_dataclass import dataclass, replace
 
@@ -43,41 +54,81 @@ class GainAlongPv:
     high: float
 
 
-def gain_along_pv(
-    records: Sequence[Prepared], direction: int, weights: Sequence[float], fitted: ProcessModel | None = None
-) -> GainAlongPv:
+def gain_along_pv(records: Sequence[Prepared], direction: int, weights: Sequence[float]) -> GainAlongPv:
     """Weigh a gain that changes along pv against one that does not, over all records and windows of a loop.
 
     records : on one interval. direction : sign of the process gain. weights : power of each record's
-    likelihood, by how far the setpoint moves it. fitted : a process, by a fit: what the lags here lack bends as well.
+    likelihood, by how far the setpoint moves it.
     """
     pv = np.concatenate([record.first + record.pv for record in records])
     low, high = (quantile(pv, share) for share in (TAILS, 1.0 - TAILS))
-    each = []
+    each, slopes = [], []
     for record in records:
         along = np.clip((record.first + record.pv - low) / max(high - low, LEAST_RANGE), 0.0, 1.0) - 0.5
-        slopes = [*(ratio**along for ratio in RATIOS), *(ratio ** (0.5 * np.sign(along)) for ratio in STEP_RATIOS)]
-        steps = np.diff(record.co, prepend=record.co[0])
-        inputs = np.array([record.co, *(np.cumsum(np.concatenate([h[:1], h[:-1]]) * steps) for h in slopes)])
-        each.append([(record, inputs, 0.0), *(_straightened(record, slope) for slope in slopes[: len(RATIOS)])])
-    behind: list[tuple[float, float, tuple[float, ...]]] = [(lag, 0.0, DEAD_TIMES) for lag in LAGS]
-    if fitted is not None:
-        lag, second, late = lags_of(fitted, records[0])
-        behind.append((lag, second, (late,)))
+        slopes.append([*(r**along for r in RATIOS), *(r ** (0.5 * np.sign(along)) for r in STEP_RATIOS)])
+        inputs = np.array([record.co, *(_scaled(record.co, h) for h in slopes[-1])])
+        straight = ((*_straightened(record, h), record.co[None]) for h in slopes[-1][: len(RATIOS)])
+        each.append([(record, 0.0, inputs), *straight])
+    sides = list(zip(*each, strict=True))
     total = []
-    for lag, second, dead in behind:
-        told = []
-        for side in zip(*each, strict=True):
-            fits = [under_loads(one, through_lag(rows, second), lag, LOADS, dead) for one, rows, _ in side]
-            more = sum(weight * jacobian for weight, (_, _, jacobian) in zip(weights, side, strict=True))
-            joint = _of_one_gain(fits, weights, direction) + more
-            told.append(joint.reshape(-1, len(side[0][1]), len(dead)))
-        total.append(np.concatenate(told, axis=1))
+    for lag in LAGS:
+        told = (_told(side, weights, direction, (LOADS,) * len(side), lag, second_lags(lag), COARSE) for side in sides)
+        total.append(np.concatenate(list(told), axis=1))
     ratios = (*RATIOS, *STEP_RATIOS, *RATIOS)
-    alone, *bent = (
-        log_mean(np.concatenate([of_lag[:, i].ravel() for of_lag in total])) for i in range(1 + len(ratios))
-    )
-    return GainAlongPv(log_mean(np.array(bent)) - alone, ratios[int(np.argmax(bent))], low, high)
+    by_grid = [log_mean(np.concatenate([of_lag[:, i].ravel() for of_lag in total])) for i in range(1 + len(ratios))]
+    most, said = int(np.argmax(by_grid[1:])), log_mean(np.array(by_grid[1:])) - by_grid[0]
+    if said > 0.0:
+        of_h = [[(r, more, u[i : i + 1]) for r, more, u in side] for side in sides for i in range(len(side[0][2]))]
+        alone, found = (_closely(of_h[i], weights, direction) for i in (0, 1 + most))
+        if (k := most - len(RATIOS) - len(STEP_RATIOS)) >= 0:
+            scaled = [
+                (z, more, _scaled(u[0], 1.0 / h[k])[None])
+                for (z, more, u), h in zip(of_h[1 + most], slopes, strict=True)
+            ]
+            alone = np.logaddexp(alone, _closely(scaled, weights, direction) - math.log(len(RATIOS))) - math.log(2.0)
+        said = found - float(alone) - math.log(len(ratios))
+    return GainAlongPv(said, ratios[most], low, high)
+
+
+def _scaled(co: FloatArray, h: FloatArray) -> FloatArray:
+    """What steps of co are, each times h where it is made, all together; shape (n,)."""
+    return np.asarray(np.cumsum(np.append(h[:1], h[:-1]) * np.diff(co, prepend=co[0])))
+
+
+Side = Sequence[tuple[Prepared, float, FloatArray]]
+"""Each record as one h makes it, the logarithm of dz/dpv, and its inputs."""
+
+
+def _closely(side: Side, weights: Sequence[float], direction: int) -> float:
+    """Tempered log-likelihood of records behind the process that suits them best."""
+    starts = []
+    for lag in LAGS:
+        of_lag = _told(side, weights, direction, (LOADS,) * len(side), lag, second_lags(lag), COARSE)[:, 0]
+        starts.append(likeliest(of_lag, lag, second_lags(lag), COARSE))
+    found = []
+    for start in sorted(starts, key=lambda one: -one.told)[:CLOSER]:
+        at = [under_loads(r, u, start.lag, NEAR_LOADS, (start.dead,), seconds=(start.second,)) for r, _, u in side]
+        of_load = [np.max(fit.tempered(fit.gain[..., None]), axis=(1, 2, 3)) for fit in at]
+        likely = [[NEAR_LOADS[i] for i in np.argsort(-one, kind="stable")[:CLOSER_LOADS]] for one in of_load]
+
+        def told(
+            lag: float, seconds: tuple[float, ...], dead: Sequence[float], loads: Sequence[Loads] = likely
+        ) -> FloatArray:
+            return _told(side, weights, direction, loads, lag, seconds, dead)[:, 0]
+
+        found.append(nearest(told, replace(start, told=-math.inf), ENOUGH / TEMPER, LATEST).told)
+    return max(found)
+
+
+def _told(
+    side: Side, weights: Sequence[float], direction: int, loads: Sequence[Loads],
+    lag: float, seconds: tuple[float, ...], dead: Sequence[float],
+) -> FloatArray:  # fmt: skip
+    """Tempered log-likelihood of records together, shape (second lags, inputs, dead times). loads : of each record."""
+    each = zip(side, loads, strict=True)
+    fits = [under_loads(one, rows, lag, its, dead, seconds=seconds) for (one, _, rows), its in each]
+    more = sum(weight * jacobian for weight, (_, jacobian, _) in zip(weights, side, strict=True))
+    return (_of_one_gain(fits, weights, direction) + more).reshape(len(seconds), -1, len(dead))
 
 
 def _of_one_gain(fits: Sequence[UnderLoads], weights: Sequence[float], direction: int) -> FloatArray:
@@ -100,8 +151,8 @@ def _of_one_gain(fits: Sequence[UnderLoads], weights: Sequence[float], direction
     return np.asarray(np.max(told, axis=-1) - sum(weights) * math.log(len(LOADS)))
 
 
-def _straightened(record: Prepared, slope: FloatArray) -> tuple[Prepared, FloatArray, float]:
-    """z of the head of this file, its input, and the tempered logarithm of dz/dpv: likelihoods count in var(z).
+def _straightened(record: Prepared, slope: FloatArray) -> tuple[Prepared, float]:
+    """z of the head of this file, and the tempered logarithm of dz/dpv: likelihoods count in var(z).
 
     What pv cannot show is larger in z where that rises faster: else a record at rest there was likelier for nothing.
     """
@@ -112,7 +163,7 @@ def _straightened(record: Prepared, slope: FloatArray) -> tuple[Prepared, FloatA
     narrower = 0.5 * math.log(float(np.var(record.pv) / np.var(z)))
     hidden = record.resolution * math.sqrt(float(np.mean(slope**-2.0)))
     one = replace(record, pv=z - z[0], resolution=hidden)
-    return one, record.co[None], (len(z) * narrower - float(np.sum(np.log(slope)))) / TEMPER
+    return one, (len(z) * narrower - float(np.sum(np.log(slope)))) / TEMPER
 
 
 LEAST_RANGE = 1e-300  # A range of pv is at least this

@@ -15,6 +15,7 @@ import numpy as np
 
 from retuner.adaptive.explanations.process_grid import DEAD_TIMES, GAINS, LAGS, second_lags, units
 from retuner.adaptive.explanations.wandering_load import (
+    BOTH,
     SLOPE,
     TEMPER,
     VALUE,
@@ -63,7 +64,7 @@ def with_jumps(record: Prepared, walk: FloatArray, direction: int, gain_unit: fl
                     continue
                 (model,) = load_models(lag, load[:1], load[1], second * (load[1] == VALUE))
                 one = impulse_response((1.0,), model.c, n)  # what a shock adds to the record that is whitened for it
-                columns = np.array([delayed(one, row) for row in sorted(rows)]) if rows else None
+                columns = np.array([delayed(one, row + 1) for row in sorted(rows)]) if rows else None
                 given = record, record.co[None], lag, (load,), late.tolist()
                 fit = under_loads(*given, through=through, tones=columns, ends=(len(rows),))
                 told[at] = fit.mixed(gains[at : at + 1])[0, 0] - JUMP_PRICE * math.log(n) * len(rows) / TEMPER
@@ -90,7 +91,8 @@ def shocks_that_pay(
 def shocks(
     record: Prepared, lag: float, second: float, load: tuple[float, int], most: int, beside: FloatArray | None = None
 ) -> tuple[list[int], FloatArray]:
-    """Rows of single shocks of a load, each where it takes away most; ln L before and after each, unpriced.
+    """Rows of single shocks of a load, each where it takes away most: pv shows it one row later. ln L before and after
+    each, unpriced.
 
     second : a further lag that the shocks go through, 0 for none. beside : what co does, shape (n,).
     """
@@ -108,7 +110,9 @@ def whitened(
     """As for `shocks`: pv whitened, orthonormal columns of starts and co's part in it, and what a shock does, with its
     form (steps_chosen).
     """
-    n, (model,) = len(record.pv), load_models(lag, load[:1], load[1])
+    n, both = len(record.pv), load[1] == BOTH
+    (model,) = load_models(lag, load[:1], *((VALUE, second) if both else load[1:]))
+    second *= not both
     memory, basis = whitening(n, (math.exp(-1.0 / second),) if second else (), model)
     rows = record.pv[None] if beside is None else np.array([record.pv, beside])
     if record.smoothing:

@@ -17,7 +17,7 @@ import math
 import numpy as np
 
 from retuner.adaptive.explanations.jumping_load import MOST_JUMPS, delayed, shocks, whitened
-from retuner.adaptive.explanations.slip_odds import FEW, MOST_ROWS, alone
+from retuner.adaptive.explanations.slip_odds import MOST_ROWS, alone
 from retuner.adaptive.explanations.valve_odds import LAGS
 from retuner.adaptive.explanations.wandering_load import (
     SLOPE,
@@ -32,6 +32,7 @@ from retuner.adaptive.signals.sample import FloatArray, least_squares
 
 LOADS = tuple((b, VALUE) for b in (0.01, 0.1, 0.8)) + tuple((b, SLOPE) for b in (0.005, 0.02, 0.1, 0.8))
 """Bandwidths and orders of the loads that wander beside it: one that repeats needs no other."""
+FEW = (1, 4)  # dead times of co beside single turns
 FEWEST_TURNS, ROUNDS, SHORTEST, LEAST_SHARE = 3, 1.9, 4.0, 0.02
 """Turns to begin with; periods of a record that show one; rows of the shortest; share of it from a turn to the next, at
 least. With 1.2 to 1.7 periods seven of 460 records of a sticking valve had odds for such a load."""

@@ -25,9 +25,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from retuner.adaptive.explanations.jumping_load import delayed, shocks, shocks_that_pay
-from retuner.adaptive.explanations.valve_odds import DEAD_TIMES, FREE_DEAD_TIMES, LAGS, Loads
-from retuner.adaptive.explanations.wandering_load import SLOPE, TEMPER, VALUE, Prepared, responses, under_loads
+from retuner.adaptive.explanations.jumping_load import shocks
+from retuner.adaptive.explanations.valve_odds import COARSE, DEAD_TIMES, LAGS, NO_TONE, Given, Loads
+from retuner.adaptive.explanations.wandering_load import SLOPE, T_SETPOINT, TEMPER, VALUE, Prepared, under_loads
 from retuner.adaptive.signals.sample import FloatArray, median
 from retuner.adaptive.valve.slips import Co, Slips, TriedSlips, one_moved, with_one_more
 from retuner.schedule.late_dataclass import replace
@@ -36,8 +36,7 @@ SHOCK_LAGS, SECONDS, LONGEST = (2.0, 6.0, 15.0, 40.0, 120.0, math.inf), (0.0, 0.
 """First lags behind which steps are looked for, samples; second ones as shares of these, or of the longest."""
 BESIDE: Loads = tuple((bandwidth, order) for order in (VALUE, SLOPE) for bandwidth in (0.05, 0.2, 0.8, math.inf))
 STEPPING: Loads = ((0.1, VALUE), (0.8, VALUE))
-JUMPING: Loads = (*STEPPING, (0.02, SLOPE), (0.1, SLOPE), (0.8, SLOPE))
-"""Bandwidths and orders of loads beside slips and co, beside steps, and of those that jump or turn a corner."""
+"""Bandwidths and orders of loads beside slips and co, and beside steps."""
 MOST_STEPS, STEP_PRICE, LEAST_PRICE = 40, 5.0, 3.0
 """Steps at the most, the price of one that is a start only, and of one in the bound on slips. The bound is found by
 trial: of 35 valves that were told, 34 have free steps at 3 each that are likelier than co itself by 15 or more, and one
@@ -46,8 +45,6 @@ STARTS, POLISHED, ROUNDS = 12, 2, 3
 """Sets of steps that are tried as slips, those that are moved about, and how often at the most."""
 LATE = (0, 1, 2, 4, 7, 12, 20)
 """Samples between a slip and the step that it makes, or the turn of co."""
-FEW, CLOSER, EVERY = (1, 4), 3, (0, 1, 2, 3, 4, 6, 9)
-"""Dead times of co beside a load that jumps; how many first lags and loads are looked at with second lags and these."""
 SHARES = (0.0, 0.15, 0.3, 0.45, 0.6, 0.75)
 """r tried; every third at first."""
 MOVES = (-12, -4, -1, 1, 4, 12)
@@ -80,15 +77,19 @@ def log_odds_of_slips(record: Prepared, direction: int) -> float:
     if slips is None:
         return -math.inf
     (position,), (price,) = _placed(co, [slips.at])
-    told = _through(record, direction, position, DEAD_TIMES) - float(price)
-    if told <= by_co:
+    if _through(record, direction, position, COARSE) - float(price) <= by_co:
         return -math.inf
-    return (told - max(by_co, _jumping(record))) / TEMPER
+    given = Given(record, direction, NO_TONE, BESIDE)
+    own, starts = given.on_grid(np.array([record.co, position]))
+    told = T_SETPOINT * given.nearest(position, starts).told - float(price)
+    walk = given.nearest(record.co, own)
+    by_co = max(T_SETPOINT * walk.told, given.with_jumps(record.co, (walk, *own)))
+    return (told - by_co) / TEMPER if told > by_co else -math.inf
 
 
 def alone(record: Prepared, direction: int) -> float:
     """The largest ln L of co itself."""
-    return _through(record, direction, record.co, FREE_DEAD_TIMES)
+    return _through(record, direction, record.co, DEAD_TIMES)
 
 
 def _through(record: Prepared, direction: int, moved: FloatArray, dead: Sequence[float]) -> float:
@@ -104,20 +105,6 @@ def _told(
     right = np.where(fits.gain * direction > 0, fits.gain, 0.0)
     told = TEMPER * fits.tempered(right[..., None])[..., 0].max(axis=2)
     return np.asarray(told.reshape(len(loads), -1, len(inputs)).max(axis=1))
-
-
-def _jumping(record: Prepared) -> float:
-    """ln L of co itself, where the load jumps or turns corners besides, at their price."""
-
-    def told(moved: FloatArray, lag: float, load: tuple[float, int], dead: int) -> float:
-        return shocks_that_pay(record, lag, load, delayed(moved, dead))[1]
-
-    behind = {lag: responses(record.co, lag) for lag in LAGS}
-    first = {
-        (lag, load): max(told(behind[lag][0], lag, load, dead) for dead in FEW) for lag in LAGS for load in JUMPING
-    }
-    closer = sorted(first, key=lambda one: -first[one])[:CLOSER]
-    return max(told(moved, *one, dead) for one in closer for moved in behind[one[0]] for dead in EVERY)
 
 
 def _placed(co: Co, each: Sequence[Slips]) -> tuple[FloatArray, FloatArray]:
@@ -155,7 +142,7 @@ def _costs(
     if not each:
         return np.zeros(0)
     moved, prices = _placed(co, each)
-    return np.asarray(prices - _told(record, direction, moved, lag, (load,), DEAD_TIMES)[0])
+    return np.asarray(prices - _told(record, direction, moved, lag, (load,), COARSE)[0])
 
 
 def _steps_seen(record: Prepared) -> tuple[list[list[int]], float]:
@@ -189,7 +176,7 @@ def _starts(record: Prepared, direction: int, co: Co, seen: list[list[int]]) -> 
         return
     moved, prices = _placed(co, list(each))
     behind = [(lag, load) for lag in LAGS for load in STEPPING]
-    told = np.concatenate([_told(record, direction, moved, lag, STEPPING, DEAD_TIMES) for lag in LAGS]) - prices
+    told = np.concatenate([_told(record, direction, moved, lag, STEPPING, COARSE) for lag in LAGS]) - prices
     taken: set[tuple[int, ...]] = set()
     for i, slips in sorted(enumerate(each), key=lambda one: -float(told[:, one[0]].max())):
         if slips.rows not in taken and len(taken) < POLISHED:

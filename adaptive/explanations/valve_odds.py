@@ -10,8 +10,9 @@ each slip decides when the next one comes, so a band that is off by a hundredth 
 240 bands are screened, the likeliest compared closely.
 
 What the grid of processes lacks passes for a valve, or hides one, the more so the less noise there is: under a setpoint
-step of twelve standard deviations a quarter of a sample of dead time was e^230. So both sides have dead times of an
-eighth of a sample, and co itself may go through one short lag besides, or through the process that a fit found.
+step of twelve standard deviations a quarter of a sample of dead time was e^230. So where a valve is in question both
+sides have the process that suits them best, between the points of the grid (process_grid.py), and a walk that goes
+through one lag or both. Of several records the grid tells which valve is one and the same.
 
 A record begins anywhere in a valve's band, and shows one or two slips of one whose band is wider than co's range there:
 so bands go to 1.6 ranges, and not all valves begin in the middle. Records of one loop have one and the same valve: its
@@ -25,22 +26,21 @@ from collections.abc import Sequence
 import numpy as np
 
 from retuner.adaptive.explanations.jumping_load import delayed, shocks_that_pay
-from retuner.adaptive.explanations.process_grid import DEAD_TIMES as EVERY_DEAD_TIME
+from retuner.adaptive.explanations.process_grid import DEAD_TIMES as OF_GRID
+from retuner.adaptive.explanations.process_grid import ENOUGH, Nearest, likeliest, nearest, second_lags
+from retuner.adaptive.explanations.process_grid import LAGS as EVERY_LAG
 from retuner.adaptive.explanations.tone import ToneColumns
 from retuner.adaptive.explanations.wandering_load import (
+    BOTH,
+    FINE,
     SLOPE,
     T_SETPOINT,
     TEMPER,
     VALUE,
     Prepared,
-    filtered,
-    impulse_response,
-    pole_of,
     responses,
-    spectrum,
     under_loads,
 )
-from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.adaptive.valve.valve_model import Family, StuckValve
 from retuner.schedule.late_dataclass import dataclass, replace
@@ -62,25 +62,32 @@ KINDS = (MOVING, SLIPPING)
 WEIGHT = TEMPER / T_SETPOINT
 """A valve's jump owes nothing to loads, as what a setpoint does: its likelihood is tempered as that is."""
 LIKELIEST = 8  # valves of each kind out of those that are compared with second lags and under more loads
-SCREENED, CLOSER_LOADS, CLOSER_LAGS = 2, 4, 2
-"""Likeliest loads under which all valves are compared, and those likeliest; first lags that get finer dead times."""
+SCREENED, CLOSER_LOADS, CLOSER, CLOSELY = 2, 4, 2, 2
+"""Likeliest loads under which all valves are compared, and those likeliest; starts of a search between the points of
+the grid, and likeliest valves of each kind that have one."""
+IN_QUESTION = -5.0
+"""ln Bayes factor on the grid from which a valve is compared more closely."""
 STARTS = (-1.0, -0.5, 0.0, 0.5, 1.0)
 """Where a valve that another record shows may stand first."""
 LAGS = (1.0, 3.0, 7.0, 15.0, 33.0, 80.0, math.inf)
-SHORT = (1.0, 2.0, 4.0)
-"""Lags, samples, one of which co itself may go through besides."""
-DEAD_TIMES = (0.0, 1.0, 2.0, 4.0, 7.0, 12.0)
-FREE_DEAD_TIMES = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.5, 7.0, 9.0, 12.0)
-FINER = tuple((np.arange(-8, 9) / 8).tolist())
-"""Dead times, and those beside the likeliest: half a sample that a grid lacks was taken for a valve, where the noise is
-small."""
+LATEST = 40.0  # dead time, samples: a slip that comes later than so is as likely to meet a jump of the load by chance
+DEAD_TIMES = tuple(one for one in OF_GRID if one <= LATEST)
+COARSE = (*DEAD_TIMES[::2], LATEST)
 NO_TONE = ToneColumns(np.zeros((0, 0)), (0,), (0.0,))
 Loads = Sequence[tuple[float, int]]
 LOADS: Loads = tuple((bandwidth, order) for order in (1, 2) for bandwidth in (0.05, 0.2, 0.8, math.inf))
 """Bandwidth and order of the loads that are tried."""
 FREE_LAGS = (0.5, *LAGS)
-JUMPING: Loads = ((0.1, VALUE), (0.8, VALUE), (0.1, SLOPE))  # those that jump besides
-JUMPED, SEARCHED = 2, 4  # likeliest valves of each kind that are compared beside such a load, and pairs of lags of each
+EVERY_DEAD = tuple(np.arange(LATEST + 1.0).tolist())  # with next to no noise one that is a sample off hides a process
+JUMPING: Loads = (
+    (0.1, VALUE),
+    (0.8, VALUE),
+    (math.inf, VALUE),
+    (math.inf, BOTH),
+    (0.1, SLOPE),
+)  # those that jump besides
+NEAR_LOADS: Loads = tuple((bandwidth, order) for order in (VALUE, SLOPE) for bandwidth in FINE)
+EVERY_LOAD: Loads = (*NEAR_LOADS, *((bandwidth, BOTH) for bandwidth in FINE))
 OCTAVES: Loads = tuple((bandwidth, order) for order in (1, 2) for bandwidth in (0.05, 0.1, 0.2, 0.4, 0.8, math.inf))
 """Those beside a valve, which takes the place of a lag or an octave that is missing."""
 
@@ -93,172 +100,156 @@ def positions(co: FloatArray, valves: Sequence[Valve]) -> tuple[list[int], Float
     return which, np.array([each[i] - each[i][0] for i in which])
 
 
-def log_odds_of_valve(
-    records: Sequence[Prepared], direction: int, tone: ToneColumns = NO_TONE, fitted: ProcessModel | None = None
-) -> float:
+def log_odds_of_valve(records: Sequence[Prepared], direction: int, tone: ToneColumns = NO_TONE) -> float:
     """Tempered logarithm of the Bayes factor of a valve that sticks or has play; 0 where no valve moves.
 
-    records : of one loop. direction : sign of the process gain. tone : that every load may hold. fitted : the process
-    by a fit to one of them.
+    records : of one loop. direction : sign of the process gain. tone : that every load may hold.
     """
-    each = [one for record in records if (one := _compared(record, direction, tone, fitted)) is not None]
+    each = [one for record in records if (one := _compared(record, direction, tone)) is not None]
     alone = sum(one.odds for one in each)
     if len(each) < 2:
         return alone
     said = []
     for kind in range(len(KINDS)):
         valves = [valve for one in each for valve in one.likeliest[kind][: max(LIKELIEST // len(each), 1)]]
-        together = np.sum([one.beside(valves) for one in each], axis=0)
+        together = np.sum([one.beside(valves) + one.odds - one.on_grid for one in each], axis=0)
         said.append(log_mean(together) + math.log(len(valves) / sum(one.among[kind] for one in each)))
     return log_mean(np.array([alone, log_mean(np.array(said))]))
 
 
 @dataclass(frozen=True, slots=True)
-class _Compared:
-    """A record beside valves. loads : the likeliest. free : tempered log-likelihood of co itself. odds : ln Bayes
-    factor, tempered. likeliest : valves of each kind, bands in co units, out of so many that move (among). jumps :
-    whether loads that jump are asked.
-    """
+class Given:
+    """A record, the sign of the process gain, the tone that every load may hold, and the likeliest loads."""
 
     record: Prepared
     direction: int
     tone: ToneColumns
-    loads: Loads
-    free: float
-    odds: float
-    likeliest: list[list[Valve]]
-    among: list[int]
-    jumps: bool = False
+    loads: Loads = ()
 
-    def beside(self, valves: Sequence[Valve]) -> FloatArray:
-        """ln Bayes factor of each valve, wherever it stood first; tempered."""
-        co = self.record.co
-        rows = np.array([[StuckValve(f, b, j * b, start).position(co) for start in STARTS] for f, b, j, _ in valves])
-        rows -= rows[..., :1]
-        found = _screened(self.record, self.direction, self.tone, rows.reshape(-1, len(co)), self.loads[:SCREENED])
-        at = np.argmax(found.max(axis=0).reshape(len(valves), -1), axis=1)
-        rows = rows[np.arange(len(valves)), at]
-        found = _likeliest(self.record, self.direction, self.tone, rows, self.loads)
-        if self.jumps:
-            found = np.array([self.jumping(*one) for one in zip(rows, found.tolist(), strict=True)])
-        return found - self.free
+    def weighed(
+        self, rows: FloatArray, lag: float, loads: Loads, dead: Sequence[float], *,
+        seconds: tuple[float, ...] | None = None,
+    ) -> FloatArray:  # fmt: skip
+        """Tempered log-likelihoods, shape (loads, second lags, rows, dead times); no gain of the wrong sign."""
+        if seconds and len(seconds) > 1 and any(order == BOTH for _, order in loads):
+            each = [self.weighed(rows, lag, loads, dead, seconds=(second,)) for second in seconds]
+            return np.concatenate(each, axis=1)
+        given, tone = (self.record, rows, lag, loads, dead), self.tone
+        fits = under_loads(*given, seconds=seconds, tones=tone.columns, ends=tone.taken)
+        right = np.where(fits.gain * self.direction > 0, fits.gain, 0.0)
+        by_tone = fits.tempered(right[..., None]).reshape(len(loads), len(self.tone.taken), -1, len(rows), len(dead))
+        return np.asarray(WEIGHT * np.max(by_tone - np.array(self.tone.prices)[:, None, None, None] / TEMPER, axis=1))
 
-    def jumping(
-        self, row: FloatArray, told: float, fitted: Sequence[tuple[float, float, FloatArray, float]] = ()
-    ) -> float:
+    def screened(self, rows: FloatArray, loads: Loads) -> FloatArray:
+        """Tempered log-likelihood of rows behind one lag, the likeliest; shape (loads, rows)."""
+        each = [self.weighed(rows, lag, loads, DEAD_TIMES, seconds=(0.0,)) for lag in FREE_LAGS]
+        return np.asarray(np.max(each, axis=(0, 2, 4)))
+
+    def on_grid(self, rows: FloatArray) -> list[list[Nearest]]:
+        """The likeliest points of the grid for each row, the likeliest first, one of each first lag."""
+        found: list[list[Nearest]] = [[] for _ in rows]
+        for lag in FREE_LAGS:
+            each = self.weighed(rows, lag, self.loads, DEAD_TIMES).max(axis=0)
+            for i, of_lag in enumerate(found):
+                of_lag.append(likeliest(each[:, i], lag, second_lags(lag), DEAD_TIMES))
+        return [sorted(of_lag, key=lambda one: -one.told) for of_lag in found]
+
+    def nearest(self, row: FloatArray, starts: Sequence[Nearest]) -> Nearest:
+        """The likeliest process between the points of the grid."""
+
+        def told(lag: float, seconds: tuple[float, ...], dead: Sequence[float]) -> FloatArray:
+            return np.asarray(self.weighed(row[None], lag, likely, dead, seconds=seconds)[:, :, 0].max(axis=0))
+
+        dense = []
+        for lag in EVERY_LAG:
+            each = self.weighed(row[None], lag, self.loads, EVERY_DEAD)[:, :, 0].max(axis=0)
+            dense.append(likeliest(each, lag, second_lags(lag), EVERY_DEAD))
+        found = []
+        for start in (starts[0], *sorted(dense, key=lambda one: -one.told)[:CLOSER]):
+            at = self.weighed(row[None], start.lag, EVERY_LOAD, (start.dead,), seconds=(start.second,))[:, 0, 0, 0]
+            likely = [EVERY_LOAD[i] for i in np.argsort(-at, kind="stable")[:CLOSER_LOADS]]
+            found.append(nearest(told, replace(start, told=-math.inf), WEIGHT / TEMPER * ENOUGH, LATEST))
+        return max(found, key=lambda one: one.told)
+
+    def jumping(self, row: FloatArray, walk: Nearest, tried: Sequence[Nearest]) -> float:
         """Tempered log-likelihood of an input where in one half of cases the load jumps or turns corners besides.
 
-        told : where it only wanders. fitted : first and second lag, what a process by a fit makes of the input, and the
-        price of its numbers: a walk that leaves jumps over is likeliest behind another one. Jumps count as loads do.
+        walk : the process where it only wanders. Jumps count as loads do. tried : of with_jumps.
         """
-        given = self.record, self.direction, self.tone, row[None]
-        each = [_weighed(*given, lag, self.loads, FREE_DEAD_TIMES)[:, :, 0].max(axis=0) for lag in FREE_LAGS]
-        pairs = [(k, through) for k, one in enumerate(each) for through in range(len(one))]
-        tried = list(fitted)
-        for k, through in sorted(pairs, key=lambda at: -float(each[at[0]][at[1]].max()))[:SEARCHED]:
-            dead = int(FREE_DEAD_TIMES[int(np.argmax(each[k][through]))])
-            tried.append((FREE_LAGS[k], 0.0, delayed(responses(row, FREE_LAGS[k])[through], dead), 0.0))
-        most = max(
-            shocks_that_pay(self.record, lag, load, late, by)[1] - cost
-            for lag, by, late, cost in tried
-            for load in JUMPING
-        )
-        return told + float(np.logaddexp(0.0, (most - T_SETPOINT * told) / TEMPER)) - math.log(2.0)
+        lead = (self.with_jumps(row, (walk, *tried)) - T_SETPOINT * walk.told) / TEMPER
+        return walk.told + float(np.logaddexp(0.0, lead)) - math.log(2.0)
+
+    def with_jumps(self, row: FloatArray, tried: Sequence[Nearest]) -> float:
+        """ln L of an input under a load that jumps or turns corners, priced.
+
+        tried : processes behind which jumps are looked for: a walk that leaves jumps over is likeliest behind another.
+        """
+        return max(self._jumps(row, one, load) for one in tried for load in JUMPING)
+
+    def _jumps(self, row: FloatArray, at: Nearest, load: tuple[float, int]) -> float:
+        moved = delayed(responses(row, at.lag, (at.second,))[0], at.dead)
+        return shocks_that_pay(self.record, at.lag, load, moved, at.second * (load[1] == BOTH))[1]
 
 
-def _compared(record: Prepared, direction: int, tone: ToneColumns, fitted: ProcessModel | None) -> _Compared | None:
-    """A record beside all valves; None where co or every valve stands still. fitted : of log_odds_of_valve."""
+@dataclass(frozen=True, slots=True)
+class _Compared:
+    """A record beside valves. free : tempered log-likelihood of co itself on the grid. odds, on_grid : ln Bayes factor,
+    tempered, as closely as it was asked and on the grid. likeliest : valves of each kind, bands in co units, out of so
+    many that move (among).
+    """
+
+    given: Given
+    free: float
+    odds: float
+    on_grid: float
+    likeliest: list[list[Valve]]
+    among: list[int]
+
+    def beside(self, valves: Sequence[Valve]) -> FloatArray:
+        """ln Bayes factor of each valve on the grid, wherever it stood first; tempered."""
+        given, co = self.given, self.given.record.co
+        rows = np.array([[StuckValve(f, b, j * b, start).position(co) for start in STARTS] for f, b, j, _ in valves])
+        rows -= rows[..., :1]
+        found = given.screened(rows.reshape(-1, len(co)), given.loads[:SCREENED])
+        at = np.argmax(found.max(axis=0).reshape(len(valves), -1), axis=1)
+        told = [starts[0].told for starts in given.on_grid(rows[np.arange(len(valves)), at])]
+        return np.array(told) - self.free
+
+
+def _compared(record: Prepared, direction: int, tone: ToneColumns) -> _Compared | None:
+    """A record beside all valves; None where co or every valve stands still."""
     travel = float(np.ptp(record.co))
     moved = [positions(record.co, valves) for valves in KINDS] if travel > 0 else [([], record.co)]
     if not all(which for which, _ in moved):
         return None
-    co = np.array([record.co, *(through_lag(record.co, lag) for lag in SHORT)])
-    sides = [_screened(record, direction, tone, rows, OCTAVES).max(axis=1) for rows in (co, moved[0][1])]
+    given, co = Given(record, direction, tone), record.co
+    sides = [given.screened(rows, OCTAVES).max(axis=1) for rows in (co[None], moved[0][1])]
     by_load = np.maximum(*(side - side.max() for side in sides))  # either side is compared under its own likeliest ones
-    loads = [OCTAVES[i] for i in np.argsort(-by_load, kind="stable")[:CLOSER_LOADS]]
-    free = float(_likeliest(record, direction, tone, co, loads, len(FREE_LAGS)).max())
-    own = []
-    if fitted is not None:
-        lag, second, dead = lags_of(fitted, record)
-        through = through_lag(record.co, second)
-        by_fit = _weighed(record, direction, tone, through[None], lag, loads, (dead,), first_only=True)
-        price = FITTED_NUMBERS / 2.0 * math.log(len(record.pv))
-        free = max(free, float(by_fit.max()) - price / TEMPER)
-        own = [(lag, second, delayed(responses(through, lag)[0], dead), price)]
-    said, likeliest, beside = [], [], []
+    given = replace(given, loads=[OCTAVES[i] for i in np.argsort(-by_load, kind="stable")[:CLOSER_LOADS]])
+    (own,), each, likeliest = given.on_grid(co[None]), [], []
     for valves, (which, rows) in zip(KINDS, moved, strict=True):
-        screened = _screened(record, direction, tone, rows, loads[:SCREENED]).max(axis=0)
+        screened = given.screened(rows, given.loads[:SCREENED]).max(axis=0)
         first = np.argsort(-screened, kind="stable")[:LIKELIEST]
-        found = _likeliest(record, direction, tone, rows[first], loads) - free
-        said.append(log_mean(found) + math.log(len(first) / len(which)))
-        order = np.argsort(-found, kind="stable")
-        best = [valves[which[i]] for i in first[order]]
+        by_grid = sorted(zip(first, given.on_grid(rows[first]), strict=True), key=lambda one: -one[1][0].told)
+        each.append([(rows[i], starts) for i, starts in by_grid])
+        best = [valves[which[i]] for i, _ in by_grid]
         likeliest.append([(family, travel * band, jump, start) for family, band, jump, start in best])
-        beside.append((rows[first[order[:JUMPED]]], found[order[:JUMPED]] + free))
-    among = [len(which) for which, _ in moved]
-    one = _Compared(record, direction, tone, loads, free, log_mean(np.array(said)), likeliest, among)
-    if one.odds <= 0.0 or len(tone.columns):
-        return one
-    # free jumps of a load explain what the slips of a valve do, so both sides have them
-    one, said = replace(one, free=one.jumping(record.co, free, own), jumps=True), []
-    for (rows, found), many in zip(beside, among, strict=True):
-        with_jumps = np.array([one.jumping(*each) for each in zip(rows, found.tolist(), strict=True)]) - one.free
-        said.append(log_mean(with_jumps) + math.log(len(rows) / many))
-    return replace(one, odds=log_mean(np.array(said)))
+    among, free = [len(which) for which, _ in moved], own[0].told
+    on_grid = odds = _odds(free, [[starts[0].told for _, starts in kind] for kind in each], among)
+    if on_grid > IN_QUESTION:
+        walk = given.nearest(co, own)
+        near = [[(row, starts, given.nearest(row, starts)) for row, starts in kind[:CLOSELY]] for kind in each]
+        odds = _odds(walk.told, [[one.told for *_, one in kind] for kind in near], among)
+        if odds > 0.0 and not len(tone.columns):  # free jumps of a load explain what the slips of a valve do
+            jumping = [[given.jumping(row, one, starts) for row, starts, one in kind] for kind in near]
+            odds = _odds(given.jumping(co, walk, own), jumping, among)
+    return _Compared(given, free, odds, on_grid, likeliest, among)
 
 
-def _screened(record: Prepared, direction: int, tone: ToneColumns, rows: FloatArray, loads: Loads) -> FloatArray:
-    """Tempered log-likelihood of rows behind one lag, the likeliest; shape (loads, rows)."""
-    each = [_weighed(record, direction, tone, rows, lag, loads, FREE_DEAD_TIMES, first_only=True) for lag in FREE_LAGS]
-    return np.asarray(np.max(each, axis=(0, 2, 4)))
-
-
-def _likeliest(
-    record: Prepared, direction: int, tone: ToneColumns, rows: FloatArray, loads: Loads, lags: int = CLOSER_LAGS
-) -> FloatArray:
-    """Tempered log-likelihood of each row with its likeliest process and load.
-
-    lags : first ones that get finer dead times.
-    """
-    each = [_weighed(record, direction, tone, rows, lag, loads, FREE_DEAD_TIMES).max(axis=(0, 1)) for lag in FREE_LAGS]
-    found = np.full(len(rows), -math.inf)
-    for i in range(len(rows)):
-        for k in np.argsort([-float(one[i].max()) for one in each], kind="stable")[:lags]:
-            late = FREE_DEAD_TIMES[int(np.argmax(each[k][i]))]
-            dead = tuple(late + part for part in FINER if late + part >= 0.0)
-            closer = _weighed(record, direction, tone, rows[i : i + 1], FREE_LAGS[k], loads, dead)
-            found[i] = max(found[i], float(closer.max()))
-    return found
-
-
-def lags_of(fitted: ProcessModel, record: Prepared) -> tuple[float, float, float]:
-    """First and second lag of a process, and its dead time, in samples of a record."""
-    dt = record.sample_time_s
-    first = math.inf if fitted.linear().integrators else max(fitted.tau1_s / dt, LEAST_LAG)
-    return first, fitted.tau2_s / dt, min(fitted.theta_s / dt, EVERY_DEAD_TIME[-1])
-
-
-LEAST_LAG = 0.02  # samples; a shorter one is none
-FITTED_NUMBERS = 3.0  # of a process that was fitted: each costs half of the logarithm of the samples (Schwarz 1978)
-
-
-def through_lag(rows: FloatArray, lag: float) -> FloatArray:
-    """Rows through a lag in samples, from rest."""
-    if lag < LEAST_LAG:
-        return rows
-    n, pole = rows.shape[-1], pole_of(lag)
-    return filtered(spectrum(rows), n, impulse_response((1.0 - pole,), (1.0, -pole), n))
-
-
-def _weighed(
-    record: Prepared, direction: int, tone: ToneColumns, rows: FloatArray, lag: float, loads: Loads,
-    dead: tuple[float, ...], *, first_only: bool = False,
-) -> FloatArray:  # fmt: skip
-    """Tempered log-likelihoods, shape (loads, second lags, rows, dead times); no gain of the wrong sign."""
-    fits = under_loads(record, rows, lag, loads, dead, first_only=first_only, tones=tone.columns, ends=tone.taken)
-    right = np.where(fits.gain * direction > 0, fits.gain, 0.0)
-    each = fits.tempered(right[..., None]).reshape(len(loads), len(tone.taken), -1, len(rows), len(dead))
-    return np.asarray(WEIGHT * np.max(each - np.array(tone.prices)[:, None, None, None] / TEMPER, axis=1))
+def _odds(free: float, told: Sequence[Sequence[float]], among: Sequence[int]) -> float:
+    """ln Bayes factor of a valve, tempered. told : of the likeliest of each kind, out of so many."""
+    each = [log_mean(np.array(one)) - free + math.log(len(one) / many) for one, many in zip(told, among, strict=True)]
+    return log_mean(np.array(each))
 
 
 def log_mean(values: FloatArray) -> float:

@@ -61,8 +61,9 @@ MOST_SAMPLES = 1024
 """Longer records are condensed, or cut into windows, to this many; transforms of a power of two hold them."""
 BANDWIDTHS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6, math.inf)
 """Frequency, rad per sample, at which load and noise are equally large; without end there is no noise."""
-AT_PV, VALUE, SLOPE = 0, 1, 2
-"""Orders of a walk: how often it is summed up behind the lags. One at pv goes through none."""
+AT_PV, VALUE, SLOPE, BOTH = 0, 1, 2, 3
+"""Orders of a walk: how often it is summed up behind the lags. One at pv goes through none; BOTH is VALUE through the
+second lag as well, of inputs with one only."""
 LOADS = tuple((bandwidth, order) for order in (VALUE, SLOPE) for bandwidth in BANDWIDTHS)
 FINE = (0.02, 0.05, 0.07, 0.1, 0.14, 0.2, 0.28, 0.4, 0.57, 0.8, 1.13, 1.6, math.inf)
 """Bandwidths of the walk, for the book: between octaves the likelihood of a thousand samples falls by 50, and a wrong
@@ -95,7 +96,7 @@ class LoadModel:
         return tuple(np.poly(self.roots).tolist())
 
 
-@cache
+@lru_cache(maxsize=4096)
 def load_models(lag: float, bandwidths: tuple[float, ...], order: int, second: float = 0.0) -> tuple[LoadModel, ...]:
     """The filters that whiten a load behind a first lag and a second one (0: none), in samples, for several bandwidths.
 
@@ -144,6 +145,11 @@ def _factored(
         }
         for roots, rows in zip(each, c.real.tolist(), strict=True)
     }
+
+
+def _walk(order: int, second: float, behind: float) -> tuple[int, float]:
+    """How often it is summed up, and the second lag that it goes through."""
+    return (VALUE, second) if order == BOTH else (order, behind * (order == VALUE))
 
 
 def pole_of(lag: float) -> float:
@@ -247,7 +253,7 @@ def _behind(
     """
     behind = 0.0 if through is None else second_lags(lag)[through]
     by_order = {
-        order: iter(load_models(lag, tuple(b for b, o in loads if o == order), order, behind * (order == VALUE)))
+        order: iter(load_models(lag, tuple(b for b, o in loads if o == order), *_walk(order, seconds[0], behind)))
         for order in {order for _, order in loads}
     }
     models = tuple(next(by_order[order]) for _, order in loads)
@@ -264,17 +270,19 @@ def _behind(
 
 def under_loads(
     record: Prepared, inputs: FloatArray, lag: float, loads: Sequence[tuple[float, int]], dead_times: Sequence[float],
-    *, first_only: bool = False, through: int | None = None, tones: FloatArray | None = None, ends: Sequence[int] = (0,)
+    *, seconds: tuple[float, ...] | None = None, through: int | None = None, tones: FloatArray | None = None,
+    ends: Sequence[int] = (0,),
 ) -> UnderLoads:  # fmt: skip
     """What inputs through a first lag, each second one and each dead time explain of a record under each load.
 
-    inputs : held between samples, shape (inputs, n). loads : bandwidth and order of each. first_only : without second
-    lags. through : the number of the only second lag, which a walk of VALUE goes through as well; None for all, and no
-    load at pv. tones : sinusoids that a load may hold besides, shape (number, n). ends : how many of them it does,
-    ascending; every load comes with each of these numbers. The rows of the answer are second lags by inputs.
+    inputs : held between samples, shape (inputs, n). loads : bandwidth and order of each. seconds : second lags, 0 for
+    none; None for the grid's. through : the number of its only one, which a walk of VALUE goes through as well; None
+    for all, and no load at pv. tones : sinusoids that a load may hold besides, shape (number, n). ends : how many of
+    them it does, ascending; every load comes with each of these numbers. The answer's rows are second lags by inputs.
     """
-    rows = slice(through, None if through is None else through + 1) if not first_only else slice(1)
-    models, falls, unknown, poles, packed = _behind(lag, tuple(loads), second_lags(lag)[rows], through)
+    if seconds is None:
+        seconds = second_lags(lag)[slice(through, None if through is None else through + 1)]
+    models, falls, unknown, poles, packed = _behind(lag, tuple(loads), seconds, through)
     freedom = len(record.pv) - np.add.outer(unknown, ends).ravel().astype(np.float64)
     tones = np.zeros((0, len(record.pv))) if tones is None else tones
     size = record.size
@@ -285,7 +293,7 @@ def under_loads(
         asked = (packed, poles, falls, dead_times, record.resolution**2)
         gain, information, left = engine.walks(record.pv, inputs, lag, *asked, tones, ends)
         return UnderLoads(gain, information, left, freedom, size)
-    moved = responses(inputs, lag)[rows].reshape(-1, len(record.pv))
+    moved = responses(inputs, lag, seconds).reshape(-1, len(record.pv))
     each = [_whitened(record, moved, falls, model, dead_times, tones[:end]) for model in models for end in ends]
     gain, information, left = (np.array(part) for part in zip(*each, strict=True))
     return UnderLoads(gain, information, left, freedom, size)
@@ -330,11 +338,11 @@ def impulse_response(top: tuple[float, ...], bottom: tuple[float, ...], n: int) 
     return np.asarray(np.fft.irfft(ratio, length)[:n] / radius ** np.arange(n), dtype=np.float64)
 
 
-def responses(inputs: FloatArray, lag: float) -> FloatArray:
-    """What inputs held between samples do at gain one, through the first lag and each second one.
+def responses(inputs: FloatArray, lag: float, seconds: tuple[float, ...] | None = None) -> FloatArray:
+    """What inputs held between samples do at gain one, through the first lag and each second one, 0 for none.
 
-    inputs : shape (..., n). Returns shape (second lags, ..., n). Where the first runs away it is free of that, as A
-    makes it: what grows leaves no digits to subtract.
+    inputs : shape (..., n). seconds : None for those of the grid. Returns shape (second lags, ..., n). Where the first
+    runs away it is free of that, as A makes it: what grows leaves no digits to subtract.
     """
     n = inputs.shape[-1]
     k = np.arange(n, dtype=np.float64)
@@ -342,9 +350,8 @@ def responses(inputs: FloatArray, lag: float) -> FloatArray:
     stays = pole if pole <= 1.0 else 0.0
     rise = np.where(k > 0, stays ** np.maximum(k - 1.0, 0.0), 0.0) * (1.0 if math.isinf(lag) else abs(1.0 - pole))
     first = filtered(spectrum(inputs), n, rise)
-    others = [math.exp(-1.0 / second) for second in second_lags(lag)[1:]]
-    passed = spectrum(first)
-    return np.array([first, *(filtered(passed, n, (1.0 - other) * other**k) for other in others)])
+    passed, others = spectrum(first), (pole_of(second) if second else 0.0 for second in seconds or second_lags(lag))
+    return np.array([filtered(passed, n, (1.0 - other) * other**k) if other else first for other in others])
 
 
 def reduced(rows: FloatArray, roots: tuple[float, ...]) -> FloatArray:

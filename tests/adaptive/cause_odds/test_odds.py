@@ -370,7 +370,9 @@ def test_more_gain_under_less_integral_action_answers_a_slow_swing_and_a_sluggis
 
 
 def test_a_slow_cycle_of_a_valve_is_seen_in_rows_closer_than_it_needs() -> None:
-    """Of every second row it was a valve by 97 %; of all, in two windows with half of its cycles each, by 13 %."""
+    """In two windows with half of its cycles each it was no valve. Its dead time of 20 rows is given to co as well:
+    where the grid ended at 12 the valve was likelier by e^12.
+    """
     n, late, gains, rng = 1600, 40, PidGains(0.4, 0.4 / 60.0), np.random.default_rng(1)
     sp, walk = 2.0 * (np.arange(n) > 100), np.cumsum(0.05 * rng.standard_normal(n))
     pole, total, y, stands = math.exp(-1 / 60.0), 0.0, 0.0, 0.0
@@ -382,7 +384,7 @@ def test_a_slow_cycle_of_a_valve_is_seen_in_rows_closer_than_it_needs() -> None:
         co[i] = gains.kp * (sp[i] - pv[i]) + total
         stands = at[i] = co[i] if abs(co[i] - stands) > 4.0 else stands
     found = odds._walk([Window(np.arange(float(n)), sp, pv, co)], gains, 1, OddsSettings())
-    assert found.valve > 2.0
+    assert found.valve > 1.5
 
 
 @pytest.mark.parametrize(("told", "given"), [(Cause.UNKNOWN, True), (Cause.STICTION, False)])
