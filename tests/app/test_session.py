@@ -341,6 +341,27 @@ def test_a_loop_in_the_middle_of_a_write_is_looked_after_between_slow_ones(monke
         looks.clear()
 
 
+@pytest.mark.parametrize(("look_s", "most"), [(0.02, 12), (3.0, 3)])
+def test_loops_in_the_middle_of_a_write_take_half_of_the_time_at_the_most(
+    monkeypatch: pytest.MonkeyPatch, look_s: float, most: int
+) -> None:
+    """Of twelve loops eleven are being written. Those whose look is short are all looked at between any two others."""
+    stages, looks, now = [Stage() for _ in range(12)], [0] * 12, [0.0]
+
+    def slow(i: int, _: float) -> list[Event]:
+        looks[i] += 1
+        now[0] += look_s if looks[i] > 1 else 3.0
+        return []
+
+    for i, stage in enumerate(stages):
+        monkeypatch.setattr(stage.device, "poll", partial(slow, i))
+        stage.device.writing = i > 0
+    session = Session([stage.session for stage in stages], print)
+    session.poll(0.0, range(12), lambda: now[0])
+    assert now[0] <= 2 * 36.0 + look_s
+    assert max(looks) == most
+
+
 def test_the_scenario_is_played_once_at_its_times() -> None:
     steps = [{"at_s": 0.0, "sp": 20.0}, {"at_s": 3.0, "sp": 25.0, "load": -5.0}, {"at_s": 5.0, "load": 0.0}]
     stage = Stage(ScenarioConfig.model_validate({"duration_s": 8.0, "steps": steps}))
