@@ -28,6 +28,7 @@ from retuner.adaptive.explanations.book import MOST_ROOM, MS_OF_ROOM, ODD, Book,
 from retuner.adaptive.explanations.likely_processes import cost_on, costs
 from retuner.adaptive.explanations.process_grid import EVERY_LAG
 from retuner.adaptive.explanations.settings_by_book import (
+    MS_SHOWN,
     BookNumbers,
     BookSettings,
     ByBook,
@@ -386,7 +387,7 @@ def _by_responses(found: Findings, seen: AllSamples, told: BookNumbers) -> tuple
     if not seen.by_loads:
         return ()
     if known.identifiable and agreed:
-        return tuple(one for one in known.plausible if _ms(one, now, settings) <= told.book_ms_high)
+        return tuple(one for one in known.plausible if min(_ms(one, now, settings), MS_SHOWN) <= told.book_ms_high)
     asked = known.plausible if told.book_room < settings.book.sure_odds else ()
     return tuple(one for one in asked if _ms(one, now, settings) <= settings.book.ms_good)
 

@@ -899,6 +899,11 @@ def test_more_action_is_proved_on_what_responses_have_shown(
     assert {0.0: "none", 1.0: "whole"}.get(step, "part") == share
 
 
+def test_a_model_on_which_the_loop_is_unstable_is_asked_where_the_odds_have_no_upper_end() -> None:
+    assert _follows(2, 40.0, 0.8, by_loads=True)
+    assert not _follows(2, 40.0, 0.8, by_loads=True, high=settings_by_book.MS_SHOWN)
+
+
 @pytest.mark.parametrize(
     ("shown", "identifiable", "times", "changes"),
     [(False, True, 4.0, True), (False, True, 40.0, True), (False, False, 0.01, False), (True, True, 4.0, False),
@@ -935,16 +940,17 @@ def test_what_the_setpoint_has_told_speaks_beside_any_model_that_no_clear_step_h
 
 def _follows(
     records: int, times: float, room: float, *, shown: bool = False, identifiable: bool = True, by_loads: bool = False,
-    held: bool = False,
+    held: bool = False, high: float | None = None,
 ) -> float:  # fmt: skip
     """The share that follows of the more action that a book of K leans to, with models of responses of so many times K.
 
-    held : the guard's limits leave next to nothing of it.
+    held : the guard's limits leave next to nothing of it. high : upper end of the odds of Ms, None for the book's.
     """
     now = scaled(0.25)
     book = replace(after(now, 3), leans=1)
     told = by_book(book, now, SETTINGS)
-    told, book = replace(told, numbers=replace(told.numbers, book_room=room)), replace(book, moved=1.0 - by_loads)
+    numbers = replace(told.numbers, book_room=room, book_ms_high=high or told.numbers.book_ms_high)
+    told, book = replace(told, numbers=numbers), replace(book, moved=1.0 - by_loads)
     assert told.leans == 1
     model = Plausible(ProcessModel("fopdt", times * K, tau1_s=LAG, theta_s=float(DEAD)), 0.0)
     table = GainTable("loop", Regions("pv", "-", ("whole",), -1e6, (), 1e6, 1.0, 0.0), (now,))
