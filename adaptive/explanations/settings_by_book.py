@@ -156,12 +156,12 @@ def by_book(book: Book, gains: PidGains, settings: BookSettings) -> ByBook:
     if told:
         kinds += [MORE_GAIN, MORE_INTEGRAL] if high >= settings.less_odds else [MORE_GAIN]
     tried = [one for kind in kinds for one in _sets(gains, kind, integral_times, settings)]
-    leans, best = 0, _best(drawn, gains, tried, settings, more=True)
+    leans, best = 0, _best(drawn, gains, tried, settings, more=True, told=told)
     if best is not None and gain(drawn, gains, best[1], settings)[1] >= settings.more_odds:
         leans = 1
     elif high >= settings.less_odds:
         less = _sets(gains, LESS_OF_ALL, integral_times, settings)
-        leans, best = -1, _best(drawn, gains, less, settings, more=False)
+        leans, best = -1, _best(drawn, gains, less, settings, more=False, told=told)
     leans = 0 if book.tone * (1.0 - book.moved) >= settings.tone else leans
     odds = high if leans < 0 else room if told else 0.0
     sure = odds >= settings.sure_odds and book.records > 0  # a part of a window looks sure too soon
@@ -287,13 +287,15 @@ def _integral_times(book: Book, drawn: LikelyProcesses) -> FloatArray:
 
 
 def _best(
-    drawn: LikelyProcesses, gains: PidGains, candidates: Iterable[PidGains], settings: BookSettings, *, more: bool
+    drawn: LikelyProcesses, gains: PidGains, candidates: Iterable[PidGains], settings: BookSettings, *, more: bool,
+    told: bool,
 ) -> tuple[float, PidGains, FloatArray] | None:
     """Worth, gains and Ms on each process of the candidate that is most worth a change; None where none is."""
     (stays, before), found = costs(drawn, gains, settings.cost), []
     for new in candidates:
         peaks = drawn.peaks(new)
-        if more and not _harmless(drawn, before, peaks, settings):
+        good = not told or float(drawn.weights @ (peaks <= settings.ms_good)) >= settings.more_odds
+        if more and not (good and _harmless(drawn, before, peaks, settings)):
             continue
         if not more and lets_go(drawn, gains, new, settings):
             continue
