@@ -369,9 +369,8 @@ def _by_responses(found: Findings, seen: AllSamples, told: BookNumbers) -> tuple
     is one more hypothesis, under which it must do no harm. Samples with a setpoint step need none but what clear steps
     have shown. None where several records identify nothing, because co does nothing: a valve may stand.
 
-    By loads alone all samples are asked whether a model may be the process at all: its Ms under the gains in force lies
-    within the odds of the book. Where no two records identify the process, Ms is to be good as well, and where the book
-    is sure of room no model is asked.
+    By loads alone all samples refute a model by which Ms is not good so far, where two records agree on it: only if that
+    Ms is out of the odds of the book. Where these are sure of room, no other model is asked.
     """
     record, settings = found.record, found.settings
     known, now = record.region_models.get(record.region), record.in_force
@@ -387,7 +386,8 @@ def _by_responses(found: Findings, seen: AllSamples, told: BookNumbers) -> tuple
     if not seen.by_loads:
         return ()
     if known.identifiable and agreed:
-        return tuple(one for one in known.plausible if min(_ms(one, now, settings), MS_SHOWN) <= told.book_ms_high)
+        most = max(told.book_ms_high, settings.book.ms_good)
+        return tuple(one for one in known.plausible if min(_ms(one, now, settings), MS_SHOWN) <= most)
     asked = known.plausible if told.book_room < settings.book.sure_odds else ()
     return tuple(one for one in asked if _ms(one, now, settings) <= settings.book.ms_good)
 
