@@ -66,7 +66,7 @@ SCREENED, CLOSER_LOADS, CLOSER, CLOSELY = 2, 4, 2, 2
 """Likeliest loads under which all valves are compared, and those likeliest; starts of a search between the points of
 the grid, and likeliest valves of each kind that have one."""
 IN_QUESTION = -5.0
-"""ln Bayes factor on the grid from which a valve is compared more closely."""
+"""ln Bayes factor from which a valve is compared more closely: on the grid, and beside the nearest linear loop."""
 STARTS = (-1.0, -0.5, 0.0, 0.5, 1.0)
 """Where a valve that another record shows may stand first."""
 LAGS = (1.0, 3.0, 7.0, 15.0, 33.0, 80.0, math.inf)
@@ -238,6 +238,8 @@ def _compared(record: Prepared, direction: int, tone: ToneColumns) -> _Compared 
     on_grid = odds = _odds(free, [[starts[0].told for _, starts in kind] for kind in each], among)
     if on_grid > IN_QUESTION:
         walk = given.nearest(co, own)
+        odds = on_grid + free - walk.told
+    if odds > IN_QUESTION:
         near = [[(row, starts, given.nearest(row, starts)) for row, starts in kind[:CLOSELY]] for kind in each]
         odds = _odds(walk.told, [[one.told for *_, one in kind] for kind in near], among)
         if odds > 0.0 and not len(tone.columns):  # free jumps of a load explain what the slips of a valve do
