@@ -287,7 +287,12 @@ def _integral_times(book: Book, drawn: LikelyProcesses) -> FloatArray:
 
 
 def _best(
-    drawn: LikelyProcesses, gains: PidGains, candidates: Iterable[PidGains], settings: BookSettings, *, more: bool,
+    drawn: LikelyProcesses,
+    gains: PidGains,
+    candidates: Iterable[PidGains],
+    settings: BookSettings,
+    *,
+    more: bool,
     told: bool,
 ) -> tuple[float, PidGains, FloatArray] | None:
     """Worth, gains and Ms on each process of the candidate that is most worth a change; None where none is."""

@@ -369,8 +369,8 @@ def _by_responses(found: Findings, seen: AllSamples, told: BookNumbers) -> tuple
     is one more hypothesis, under which it must do no harm. Samples with a setpoint step need none but what clear steps
     have shown. None where several records identify nothing, because co does nothing: a valve may stand.
 
-    By loads alone all samples refute a model by which Ms is not good so far, where two records agree on it: only if that
-    Ms is out of the odds of the book. Where these are sure of room, no other model is asked.
+    By loads alone a model counts by which Ms is good so far; where two records agree on it, one whose Ms is within the
+    odds of the book, too. Where none agree and these are sure of room, no model is asked.
     """
     record, settings = found.record, found.settings
     known, now = record.region_models.get(record.region), record.in_force

@@ -891,8 +891,8 @@ def test_more_action_is_proved_on_what_responses_have_shown(
     records: int, times: float, room: float, share: str, *, shown: bool, identifiable: bool
 ) -> None:
     """By loads alone. On 4 K the gains in force are the good ones: a part of the change is proved, and is not worth it
-    where clear steps have shown that process. On 40 K they are unstable, which all samples refute. One record is not asked where these are sure of room. On 0.01 K co does next to nothing: two records that
-    identify nothing say no more.
+    where clear steps have shown that process. On 40 K they are unstable, which all samples refute. One record is not
+    asked where these are sure of room. On 0.01 K co does nothing: two records that identify nothing say no more.
     """
     step = _follows(records, times, room, shown=shown, identifiable=identifiable, by_loads=True)
     assert {0.0: "none", 1.0: "whole"}.get(step, "part") == share
