@@ -145,6 +145,9 @@ ANEW = frozenset({Agreement.FIRST, Agreement.OPENED, Agreement.CHANGED})
 """Agreements after which the model rests on nothing that was believed before."""
 
 
+MOST_SCATTER = 1.5  # a factor of 4.5; records that go on beyond the end of an axis have no more
+
+
 @dataclass(frozen=True, slots=True)
 class TrackerSettings:
     """Settings of what is known of a region. Raises ValueError: one is outside its range."""
@@ -164,7 +167,7 @@ class TrackerSettings:
     # operating point and structure are never quite the same; with 0.12 a gain that doubles at once passes the gate. A
     # record that went over a whole axis has 1.4 (on_the_way)
     scatter: float = setting(
-        0.06, "How much they differ between records within a region, one standard deviation", "0..1.5"
+        0.06, "How much they differ between records within a region, one standard deviation", f"0..{MOST_SCATTER}"
     )
     # what no structure explains of a real record passes 3.09 now and then; a gain that has doubled lies far beyond 4.5
     gate: float = setting(4.5, "Innovation above which a record contradicts, as a one-sided normal deviate", "2..6")
@@ -482,7 +485,7 @@ def on_the_way(settings: TrackerSettings, share: float) -> TrackerSettings:
     nobody knows before the curves do: of every logarithm, by their prior, 2 SLOPE_STD over the whole axis. Steps up and
     down differ by it, and the ends of a region, so records scatter by it about their mean.
     """
-    return replace(settings, scatter=math.hypot(settings.scatter, 2 * SLOPE_STD * share))
+    return replace(settings, scatter=min(math.hypot(settings.scatter, 2 * SLOPE_STD * share), MOST_SCATTER))
 
 
 def scattered(log: LogModel, settings: TrackerSettings) -> LogModel:
