@@ -154,14 +154,14 @@ class Given:
                 of_lag.append(likeliest(each[:, i], lag, second_lags(lag), DEAD_TIMES))
         return [sorted(of_lag, key=lambda one: -one.told) for of_lag in found]
 
-    def nearest(self, row: FloatArray, starts: Sequence[Nearest]) -> Nearest:
-        """The likeliest process between the points of the grid."""
+    def nearest(self, row: FloatArray, starts: Sequence[Nearest], *, widely: bool = True) -> Nearest:
+        """The likeliest process between the points of the grid, near the first of starts; widely : or anywhere else."""
 
         def told(lag: float, seconds: tuple[float, ...], dead: Sequence[float]) -> FloatArray:
             return np.asarray(self.weighed(row[None], lag, likely, dead, seconds=seconds)[:, :, 0].max(axis=0))
 
         dense = []
-        for lag in EVERY_LAG:
+        for lag in EVERY_LAG if widely else ():
             each = self.weighed(row[None], lag, self.loads, EVERY_DEAD)[:, :, 0].max(axis=0)
             dense.append(likeliest(each, lag, second_lags(lag), EVERY_DEAD))
         found = []
@@ -236,9 +236,11 @@ def _compared(record: Prepared, direction: int, tone: ToneColumns) -> _Compared 
         likeliest.append([(family, travel * band, jump, start) for family, band, jump, start in best])
     among, free = [len(which) for which, _ in moved], own[0].told
     on_grid = odds = _odds(free, [[starts[0].told for _, starts in kind] for kind in each], among)
-    if on_grid > IN_QUESTION:
-        walk = given.nearest(co, own)
-        odds = on_grid + free - walk.told
+    walk = own[0]
+    for widely in (False, True):
+        if odds > IN_QUESTION:
+            walk = given.nearest(co, own, widely=widely)
+            odds = on_grid + free - walk.told
     if odds > IN_QUESTION:
         near = [[(row, starts, given.nearest(row, starts)) for row, starts in kind[:CLOSELY]] for kind in each]
         odds = _odds(walk.told, [[one.told for *_, one in kind] for kind in near], among)
