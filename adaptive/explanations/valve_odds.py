@@ -65,8 +65,9 @@ LIKELIEST = 8  # valves of each kind out of those that are compared with second 
 SCREENED, CLOSER_LOADS, CLOSER, CLOSELY = 2, 4, 2, 2
 """Likeliest loads under which all valves are compared, and those likeliest; starts of a search between the points of
 the grid, and likeliest valves of each kind that have one."""
-IN_QUESTION = -5.0
-"""ln Bayes factor from which a valve is compared more closely: on the grid, and beside the nearest linear loop."""
+IN_QUESTION = -1.0
+"""ln Bayes factor from which a valve is compared more closely: on the grid, and beside the nearest linear loop. Not
+where the grid speaks against one: behind a lag of half a sample any dead time fits, and co gains by that as well."""
 STARTS = (-1.0, -0.5, 0.0, 0.5, 1.0)
 """Where a valve that another record shows may stand first."""
 LAGS = (1.0, 3.0, 7.0, 15.0, 33.0, 80.0, math.inf)
