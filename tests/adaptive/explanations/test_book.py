@@ -206,6 +206,20 @@ def test_what_is_told_of_ms_holds_between_the_points_of_the_grid(gain: float, la
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("seed", range(3))
+def test_a_process_that_runs_away_is_held_where_its_loop_is_stable(seed: int) -> None:
+    """The book counts turns for all gains at once; `stable` counts them for each loop."""
+    rng = np.random.default_rng([12399, seed])
+    kp, ki, kd = np.exp(rng.uniform(-3.0, 3.0, 3)) * (1.0, 0.05, seed == 2)
+    unit, dt_s = float(np.exp(rng.uniform(-1.0, 1.0))), float(np.exp(rng.uniform(-1.0, 1.0)))
+    _, held = book_of_samples._possible(PidGains(kp, ki, kd), dt_s, unit)
+    places = np.indices(book_of_samples.GRID)[:, len(shapes()) :].reshape(3, -1)
+    away = book_of_samples._those(tuple(places), np.ones(places.shape[1]), unit, dt_s)
+    under = [away.stable(PidGains(x * kp, x * ki, x * kd)) for x in book_of_samples.SHARES]
+    assert np.array_equal(held.ravel(), np.any(under, axis=0))
+    assert 0 < np.count_nonzero(held) < held.size
+
+
 @pytest.mark.parametrize(("kc", "cut"), [(0.75, 0.6), (1.6, 0.3)])
 def test_the_gain_of_a_process_that_runs_away_is_not_cut(kc: float, cut: float) -> None:
     """k 2, tau 33 to the wrong side, dead time 4: held from kc 0.5 to 4."""
