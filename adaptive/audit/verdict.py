@@ -202,12 +202,7 @@ def loop_verdict(screen: LoopScreen, stretches: Sequence[StretchVerdict]) -> Loo
         reason, n, worth = SENTENCES[screen.condition], len(stretches), 0.9 * 0.5 / EFFORT[condition]
         return LoopVerdict(Cause.UNKNOWN, 0.9, condition, reason, 0.0, n, n, 1.0, worth)
     best = max(faults, key=lambda c: joined_confidence(c, stretches), default=None)
-    w, loss = screen.at_limits, screen.loss_at_limits
-    if not screen.setpoint or w < LEAST_AT_LIMIT or loss < LEAST_LOSS or screen.one_sided < LEAST_ONE_SIDED:
-        bound = 0.0
-    else:
-        odds = screen.one_sided * loss * (1 - w) / max((1 - loss) * w, 1e-6)
-        bound = min(odds / (1 + odds), MOST_SURE)
+    bound = limit_confidence(screen)
     if bound >= max(CONVINCED, joined_confidence(best, stretches) if best is not None else 0.0):
         # A limit that binds for part of the time
         action = FOR_CAUSE[Cause.SATURATION]
@@ -272,6 +267,15 @@ def _waits(screen: LoopScreen, stretches: Sequence[StretchVerdict]) -> bool:
     open_ = all(s.cause in {Cause.NOISE, Cause.UNKNOWN} for s in stretches)
     calm = screen.swinging < SWINGS and screen.at_limits < LEAST_AT_LIMIT
     return bool(stretches) and open_ and calm and idle is not None and idle >= WAITS
+
+
+def limit_confidence(screen: LoopScreen) -> float:
+    """How sure a limit of co binds for part of the record; see the head of this file."""
+    w, loss = screen.at_limits, screen.loss_at_limits
+    if not screen.setpoint or w < LEAST_AT_LIMIT or loss < LEAST_LOSS or screen.one_sided < LEAST_ONE_SIDED:
+        return 0.0
+    odds = screen.one_sided * loss * (1 - w) / max((1 - loss) * w, 1e-6)
+    return min(odds / (1 + odds), MOST_SURE)
 
 
 def _of_screen(screen: LoopScreen) -> str:

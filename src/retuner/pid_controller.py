@@ -195,40 +195,16 @@ class PidController(display_hook.Drawn, Closes):
             raise ValueError(
                 f"dt_s = {elapsed_s:g} is over 30 years: give the time since the last step; nothing changed"
             )
-        # The values of the scheduling variables
-        known = {"sp": sp, "pv": pv, "co": self._law.co_min if self._place is None else self._place.pid[3]}
-        found = [0.0, 0.0]
-        for i, axis in enumerate(self._retuner.table.regions.axes):
-            given = (x, x2)[i]
-            if given is None and axis.variable == CAN:
-                raise ValueError(f"the gains follow {axis.label}: give it as {('x', 'x2')[i]}")
-            found[i] = float(known[axis.variable] if given is None else given)
-        xs, last = (found[0], found[1]), self._place
-        if last is None:
-            t_s = self._begin_s
-            region = enter(self._regions, xs[0], t_s, xs[1])
-            now = self._law_at(region, xs)
-            state: StateTuple = _begin(now, sp, pv) if self._held_co is None else start(now, sp, pv, self._held_co)
-        else:
-            t_s = last.t_s + elapsed_s
-            region = choose(self._regions, last.region, xs[0], t_s, xs[1])
-            now, state = self._law_at(region, xs), last.pid
-            if now is not self._law:
-                state = change(self._law, now, state, last.sp, last.pv)
-        if manual_co is None:
-            state, _ = step(now, state, sp, pv, elapsed_s)
-        else:
-            state, _ = track(now, state, sp, pv, manual_co, elapsed_s)
-        self._law = now
-        place = _Place(t_s, xs, region, self._retuner.table, state, sp, pv)
+        place = self._advanced(sp, pv, elapsed_s, (x, x2), manual_co)
         co, limited = place.pid[3], int(place.pid[LIMITED])
         mode = LoopMode.AUTO if manual_co is None else LoopMode.MANUAL
-        sample = LoopSample(t_s, sp, pv, co, mode, limited, xs[0], self._retuner.table.revision, xs[1])
+        xs = place.xs
+        sample = LoopSample(place.t_s, sp, pv, co, mode, limited, xs[0], self._retuner.table.revision, xs[1])
         self._place = place  # before anybody may break off what follows: the time of the next sample goes on from here
         self._decision = (self._background or self._retuner).observe(sample)
         if self._retuner.sample_number == WARMS_AT:
             warm_up_beside()
-        self._history.add((t_s, sp, pv, co, self._law.kp, self._law.ki, self._law.kd))
+        self._history.add((place.t_s, sp, pv, co, self._law.kp, self._law.ki, self._law.kd))
         if self._decision is not None:
             self._obey(self._decision)
         return co
@@ -364,6 +340,37 @@ class PidController(display_hook.Drawn, Closes):
         said = "no decision yet" if self._last is None else f"last decision {self._last.number}: {self._last.code}"
         mode = self._retuner.settings.mode
         return f"PidController({table.loop!r}, {mode}: kp {g.kp:.4g}, ki {g.ki:.4g}, kd {g.kd:.4g}; {co}, {said})"
+
+    def _advanced(
+        self, sp: float, pv: float, dt_s: float, x: tuple[float | None, float | None], manual_co: float | None
+    ) -> _Place:
+        """Where the loop stands after this sample; nothing is changed here but the law in force."""
+        # The values of the scheduling variables
+        known = {"sp": sp, "pv": pv, "co": self._law.co_min if self._place is None else self._place.pid[3]}
+        found = [0.0, 0.0]
+        for i, axis in enumerate(self._retuner.table.regions.axes):
+            given = x[i]
+            if given is None and axis.variable == CAN:
+                raise ValueError(f"the gains follow {axis.label}: give it as {('x', 'x2')[i]}")
+            found[i] = float(known[axis.variable] if given is None else given)
+        xs, last = (found[0], found[1]), self._place
+        if last is None:
+            t_s = self._begin_s
+            region = enter(self._regions, xs[0], t_s, xs[1])
+            now = self._law_at(region, xs)
+            state: StateTuple = _begin(now, sp, pv) if self._held_co is None else start(now, sp, pv, self._held_co)
+        else:
+            t_s = last.t_s + dt_s
+            region = choose(self._regions, last.region, xs[0], t_s, xs[1])
+            now, state = self._law_at(region, xs), last.pid
+            if now is not self._law:
+                state = change(self._law, now, state, last.sp, last.pv)
+        if manual_co is None:
+            state, _ = step(now, state, sp, pv, dt_s)
+        else:
+            state, _ = track(now, state, sp, pv, manual_co, dt_s)
+        self._law = now
+        return _Place(t_s, xs, region, self._retuner.table, state, sp, pv)
 
     def _law_at(self, region: RegionState, xs: tuple[float, float]) -> PidLaw:
         """The law with the gains of this place; the same object as long as they do not change."""

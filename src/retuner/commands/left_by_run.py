@@ -65,19 +65,7 @@ def leave(
     if not left:
         raise UserError("nothing to report: no sample told its region, as the scheduling variable was never known")
     if job.config.several:
-        reports = {one.loop.name: str(one.report) for one in left}
-        scores = {one.loop.name: one.scores for one in left}
-        lines = [
-            LoopLine(
-                loop.name,
-                reports.get(loop.name),
-                [decision.to_dict() for decision in loop.decisions],
-                scores.get(loop.name, []),
-                session.absent.get(loop.name, loop.left_open),
-            )
-            for loop in session.loops
-        ]
-        job.unwritten.write(job.folder / REPORT, render_index(lines, _facts(job, ledger, LOOPS)))
+        job.unwritten.write(job.folder / REPORT, render_index(_index_lines(session, left), _facts(job, ledger, LOOPS)))
     # the result as a file, and for whoever asked for it
     folder, several = job.folder, job.config.several
     results = [result(one, ledger, folder / one.report.parent) for one in left]
@@ -175,6 +163,21 @@ def _leave_loop(
     )
     job.unwritten.write(folder / REPORT, render(data))
     return _Left(loop, config.loop.pv_unit, scores, (folder / REPORT).relative_to(job.folder), advice)
+
+
+def _index_lines(session: Session, left: Sequence[_Left]) -> list[LoopLine]:
+    reports = {one.loop.name: str(one.report) for one in left}
+    scores = {one.loop.name: one.scores for one in left}
+    return [
+        LoopLine(
+            loop.name,
+            reports.get(loop.name),
+            [decision.to_dict() for decision in loop.decisions],
+            scores.get(loop.name, []),
+            session.absent.get(loop.name, loop.left_open),
+        )
+        for loop in session.loops
+    ]
 
 
 def _facts(job: RunJob, ledger: Ledger, trend: str, i: int | None = None) -> dict[str, str]:
