@@ -238,17 +238,14 @@ class LoopSession:
         if decision is not None:
             self._decided(decision)
         if self.retuner.open_question is not None:
-            answer = self.decider.answer(self.retuner.sample_number)
+            question, answer = self.retuner.open_question, self.decider.answer(self.retuner.sample_number)
             if answer is not None:
-                body = {
-                    "asked": self.retuner.open_question.sample_number,
-                    "code": answer.result.code,
-                    "reason": answer.trouble,
-                }
+                # Recorded before it is entered: a replay enters it at the same sample
+                body = {"asked": question.sample_number, "code": answer.result.code, "reason": answer.trouble}
                 self._to_ledger("answer", self.writer.t_s, body)
                 if answer.result.code in {LATE, LOST}:
                     self._to_ledger("worker", self.writer.t_s, {"reason": answer.trouble})
-                self._decided(self.retuner.enter(self.retuner.open_question, answer.result, self.retuner.sample_number))
+                self._decided(self.retuner.enter(question, answer.result, self.retuner.sample_number))
         if self.writer.free:
             for ordered in self.orders(sample.t_s):
                 self._decided(ordered)
