@@ -248,9 +248,7 @@ def likeliest(told: FloatArray, lag: float, seconds: Sequence[float], dead: Sequ
 
 
 def nearest(told: Told, start: Nearest, enough: float, latest: float) -> Nearest:
-    """The process near a start of which the most is told. enough : what a step has to gain. latest :
-    the longest dead time.
-    """
+    """The process near a start of which the most is told. enough : what a step has to gain. latest : dead time."""
     best, step = start, 1.0
     for _ in range(ROUNDS):
         before = best.told

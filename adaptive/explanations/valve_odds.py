@@ -80,13 +80,8 @@ LOADS: Loads = tuple((bandwidth, order) for order in (1, 2) for bandwidth in (0.
 """Bandwidth and order of the loads that are tried."""
 FREE_LAGS = (0.5, *LAGS)
 EVERY_DEAD = tuple(np.arange(LATEST + 1.0).tolist())  # with next to no noise one that is a sample off hides a process
-JUMPING: Loads = (
-    (0.1, VALUE),
-    (0.8, VALUE),
-    (math.inf, VALUE),
-    (math.inf, BOTH),
-    (0.1, SLOPE),
-)  # those that jump besides
+JUMPING: Loads = ((0.1, VALUE), (0.8, VALUE), (math.inf, VALUE), (math.inf, BOTH), (0.1, SLOPE))
+"""Loads that jump, or turn a corner, besides."""
 NEAR_LOADS: Loads = tuple((bandwidth, order) for order in (VALUE, SLOPE) for bandwidth in FINE)
 EVERY_LOAD: Loads = (*NEAR_LOADS, *((bandwidth, BOTH) for bandwidth in FINE))
 OCTAVES: Loads = tuple((bandwidth, order) for order in (1, 2) for bandwidth in (0.05, 0.1, 0.2, 0.4, 0.8, math.inf))

@@ -73,7 +73,7 @@ from retuner.adaptive.trial.words_on_persons_edit import NOT_TAKEN, edit_words, 
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable, Lookup
 
-PATIENCE = 2.0  # times as long as with a response is waited before all samples are looked at without one
+PATIENCE = 2.0  # all samples are looked at without a response after so many times the wait that one with it takes
 
 
 class Retuner:

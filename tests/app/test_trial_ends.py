@@ -287,9 +287,9 @@ def test_one_that_came_through_after_it_was_given_up_stays(died: Wire) -> None:
     memory = remember(died.session.retuner)
     died.until(P.TRIAL)
     begin_again(died, memory)
-    died.heard = lambda message: False  # noqa: ARG005
+    died.heard = lambda _: False
     died.run(8)
-    died.heard = lambda message: True  # noqa: ARG005
+    died.heard = lambda _: True
     died.run(60)
     assert died.runs == to_wire(GOOD)
     assert died.trials.phase(0) is P.TRIAL
