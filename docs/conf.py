@@ -53,11 +53,7 @@ html_theme = "furo"
 html_title = f"retuner {release}"
 html_static_path = ["_static"]
 html_css_files = ["tables.css"]
-html_theme_options = {
-    "source_repository": f"{REPOSITORY}/",
-    "source_branch": "main",
-    "source_directory": "docs/",
-}
+html_theme_options = {"source_repository": f"{REPOSITORY}/", "source_branch": "main", "source_directory": "docs/"}
 html_copy_source = False
 html_show_sourcelink = False
 

@@ -19,15 +19,7 @@ import numpy as np
 from retuner.adaptive.explanations.jumping_load import MOST_JUMPS, delayed, shocks, whitened
 from retuner.adaptive.explanations.slip_odds import MOST_ROWS, alone
 from retuner.adaptive.explanations.valve_odds import LAGS
-from retuner.adaptive.explanations.wandering_load import (
-    SLOPE,
-    TEMPER,
-    VALUE,
-    Prepared,
-    filtered,
-    responses,
-    spectrum,
-)
+from retuner.adaptive.explanations.wandering_load import SLOPE, TEMPER, VALUE, Prepared, filtered, responses, spectrum
 from retuner.adaptive.signals.sample import FloatArray, least_squares
 
 LOADS = tuple((b, VALUE) for b in (0.01, 0.1, 0.8)) + tuple((b, SLOPE) for b in (0.005, 0.02, 0.1, 0.8))

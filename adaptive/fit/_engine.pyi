@@ -79,15 +79,7 @@ def valve_costs(
     t: Numbers, pv: Numbers, co: Numbers, numbers: Numbers, p: Numbers, valves: Numbers, out: Numbers, /
 ) -> None: ...
 def slip_costs(
-    t: Numbers,
-    pv: Numbers,
-    co: Numbers,
-    numbers: Numbers,
-    p: Numbers,
-    slips: Numbers,
-    rows: Numbers,
-    out: Numbers,
-    /,
+    t: Numbers, pv: Numbers, co: Numbers, numbers: Numbers, p: Numbers, slips: Numbers, rows: Numbers, out: Numbers, /
 ) -> None: ...
 def screen(
     t: Numbers,
@@ -145,14 +137,6 @@ def move_steps(
     pv: Numbers, response: Numbers, rest: Numbers, numbers: Numbers, rows: Numbers, reach: int, passes: int, /
 ) -> float: ...
 def closed(
-    phi: Numbers,
-    gamma: Numbers,
-    c: Numbers,
-    x: Numbers,
-    numbers: Numbers,
-    most: float,
-    e: Numbers,
-    u: Numbers,
-    /,
+    phi: Numbers, gamma: Numbers, c: Numbers, x: Numbers, numbers: Numbers, most: float, e: Numbers, u: Numbers, /
 ) -> None: ...
 def held(numbers: Numbers, pv: Numbers, /) -> int: ...

@@ -74,10 +74,7 @@ def even(window: Window, most: int = MOST_SAMPLES) -> Window:
 
 
 def replayed(
-    window: Window,
-    process: LinearProcess,
-    gains: PidGains,
-    co_limits: tuple[float | None, float | None] = (None, None),
+    window: Window, process: LinearProcess, gains: PidGains, co_limits: tuple[float | None, float | None] = (None, None)
 ) -> ReplayedRecord:
     """The record with these settings in the loop, from the first sample on, taken over without a bump.
 

@@ -97,11 +97,7 @@ COHEN_COON = Rule(
     formulas={
         P: ("Kc = (tau/(K L)) (1 + L/(3 tau))",),
         PI: ("Kc = (tau/(K L)) (0.9 + L/(12 tau))", "Ti = L (30 + 3 L/tau)/(9 + 20 L/tau)"),
-        PID: (
-            "Kc = (tau/(K L)) (4/3 + L/(4 tau))",
-            "Ti = L (32 + 6 L/tau)/(13 + 8 L/tau)",
-            "Td = 4 L/(11 + 2 L/tau)",
-        ),
+        PID: ("Kc = (tau/(K L)) (4/3 + L/(4 tau))", "Ti = L (32 + 6 L/tau)/(13 + 8 L/tau)", "Td = 4 L/(11 + 2 L/tau)"),
     },
     source="Cohen & Coon 1953, Trans. ASME 75, 827",
     valid="0.1 < L/tau < 1 or so; quarter decay, so little robust",

@@ -26,14 +26,7 @@ from retuner.adaptive.schedule_design.joint import (
     starts,
     with_loads,
 )
-from retuner.adaptive.schedule_design.record_stretches import (
-    LEVEL_STD,
-    CurveAxis,
-    CurveShape,
-    Second,
-    Stretch,
-    over,
-)
+from retuner.adaptive.schedule_design.record_stretches import LEVEL_STD, CurveAxis, CurveShape, Second, Stretch, over
 from retuner.adaptive.schedule_design.rest_curve import RestCurve
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.late_dataclass import dataclass, replace

@@ -19,14 +19,7 @@ another process may work it out.
 import math
 from dataclasses import replace
 
-from retuner.adaptive.choice.expected_cost import (
-    Choice,
-    Choosable,
-    LoopSettings,
-    ModelEvidence,
-    choose,
-    outlooks,
-)
+from retuner.adaptive.choice.expected_cost import Choice, Choosable, LoopSettings, ModelEvidence, choose, outlooks
 from retuner.adaptive.decision_numbers import Basis
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import SWINGING

@@ -57,12 +57,7 @@ HOST_MUTANTS = tuple(
         ),
         ("an unfinished page is whole", HOST + "page_reader", "if len(items) < len(wire.Item) or", "if not items or"),
         # the lease
-        (
-            "no lease before the stage",
-            HOST + "write_protocol",
-            "and (owned or (asked and self._claims == 0)):",
-            ":",
-        ),
+        ("no lease before the stage", HOST + "write_protocol", "and (owned or (asked and self._claims == 0)):", ":"),
         (
             "a lapsed lease is not noticed",
             HOST + "write_protocol",

@@ -118,12 +118,7 @@ def scaled_record(rng: np.random.Generator, loop: Loop, gains: PidGains, plan: P
 
 
 def valve_record(
-    rng: np.random.Generator,
-    loop: Loop,
-    gains: PidGains,
-    plan: Plan,
-    valve: Callable[[float], Valve],
-    response: float,
+    rng: np.random.Generator, loop: Loop, gains: PidGains, plan: Plan, valve: Callable[[float], Valve], response: float
 ) -> Record:
     """The same with a valve; upsets are in true units and noise is relative to the given response."""
     pv0 = float(rng.uniform(-20, 20)) * response

@@ -12,11 +12,7 @@ from collections import deque
 from collections.abc import Callable
 
 from retuner.adaptive.signals.sample import LoopMode
-from retuner.drivers.device import (
-    CommandDone,
-    CommandFailed,
-    LeaseChanged,
-)
+from retuner.drivers.device import CommandDone, CommandFailed, LeaseChanged
 from retuner.drivers.protocol.frames import (
     STORE_TAG,
     Ack,

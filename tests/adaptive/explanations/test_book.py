@@ -673,10 +673,7 @@ def test_a_change_whose_cause_the_book_does_not_see_needs_the_whole_diagnosis(
         assert not asked or found.reason.endswith("; a valve sticks")
 
 
-@pytest.mark.parametrize(
-    ("moved", "bears", "asked"),
-    [(1.0, True, False), (1.0, False, True), (0.0, True, True)],
-)
+@pytest.mark.parametrize(("moved", "bears", "asked"), [(1.0, True, False), (1.0, False, True), (0.0, True, True)])
 def test_more_action_that_samples_with_a_setpoint_step_bear_needs_no_whole_diagnosis(
     monkeypatch: pytest.MonkeyPatch, moved: float, *, bears: bool, asked: bool
 ) -> None:

@@ -205,10 +205,5 @@ def test_the_valve_test_is_in_units_of_co() -> None:
     assert found.kind is TestKind.VALVE
     assert 0.5 * np.std(record.co) < found.size < 10 * np.std(record.co)
     assert 0.0 < found.decides <= 1.0
-    assert found.to_dict() == {
-        "kind": "valve",
-        "size": found.size,
-        "hold_s": found.hold_s,
-        "decides": found.decides,
-    }
+    assert found.to_dict() == {"kind": "valve", "size": found.size, "hold_s": found.hold_s, "decides": found.decides}
     assert DecidingTest(TestKind.SETPOINT, 1.0, 2.0, 0.5).to_dict()["kind"] == "setpoint"

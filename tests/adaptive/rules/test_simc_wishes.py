@@ -10,12 +10,7 @@ from hypothesis import strategies as st
 from retuner.adaptive.loop.margins import margins, sensitivity_peak
 from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
 from retuner.adaptive.rules.slow_oscillation import slow_oscillation
-from retuner.adaptive.rules.visual import (
-    VisualAdvice,
-    oscillating_loop,
-    oscillation_by_eye,
-    sampling_by_eye,
-)
+from retuner.adaptive.rules.visual import VisualAdvice, oscillating_loop, oscillation_by_eye, sampling_by_eye
 from retuner.schedule.gains import PidGains
 from retuner.tuning import TuneResult, tune
 
