@@ -6,8 +6,8 @@ CPU time of this process or of the command's; the shortest of interleaved rounds
 `python -c "import numpy"` of the same round, parts of the engine in the same part computed by numpy, an examination in
 samples of the device, a quiet sample in calls and files, a frame in python-can's own. Records are drawn from a seed of
 its own (benchmarks/cases), 1,000 samples or so each. Prints each ratio beside the last one in costs.toml and exits 1
-where one is worse by more than a tenth; --note appends this run there with its reason. On a machine that does something
-else as well, ratios differ by a fifth from run to run: more rounds help.
+where one is worse by more than a tenth; --note puts this run there, with its reason, in place of older ratios. On a
+machine that does something else as well, ratios differ by a fifth from run to run: more rounds help.
 """
 
 import argparse
@@ -23,6 +23,7 @@ from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import can
 from bus_simulation.device_end import LagPlant
@@ -216,18 +217,22 @@ def measured(rounds: int, only: list[str]) -> dict[str, float]:
     return found
 
 
-def history() -> list[dict[str, object]]:
+def history() -> list[dict[str, Any]]:
     """The runs on record, oldest first."""
-    return tomllib.loads(HISTORY.read_text(encoding="utf-8"))["run"] if HISTORY.exists() else []
+    return tomllib.loads(HISTORY.read_text(encoding="utf-8"))["run"]
 
 
-def append(found: dict[str, float], note: str) -> None:
-    """One more run in the history."""
+def keep(found: dict[str, float], note: str) -> None:
+    """Write this run behind those on record, each with the ratios that no later run has."""
     commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False).stdout
-    lines = ["", "[[run]]", f'day = "{datetime.now(UTC):%Y-%m-%d}"', f'commit = "{commit.strip()}"']
-    lines += [f'note = "{note}"', "[run.ratios]", *(f'"{name}" = {ratio:.3g}' for name, ratio in found.items())]
-    with HISTORY.open("a", encoding="utf-8") as out:
-        out.write("\n".join(lines) + "\n")
+    this = {"day": f"{datetime.now(UTC):%Y-%m-%d}", "commit": commit.strip(), "note": note, "ratios": found}
+    lines = ["# The last ratios of benchmarks/costs.py, by the run that measured them; --note adds a run."]
+    for run in [*history(), this]:
+        last = {name: ratio for name, ratio in run["ratios"].items() if run is this or name not in found}
+        if last:
+            lines += ["", "[[run]]", *(f"{key} = {json.dumps(run[key])}" for key in ("day", "commit", "note"))]
+            lines += ["[run.ratios]", *(f'"{name}" = {ratio:.3g}' for name, ratio in last.items())]
+    HISTORY.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def main() -> int:
@@ -236,19 +241,18 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--only", nargs="+", choices=list(GROUPS), default=list(GROUPS))
-    parser.add_argument("--note", help="append this run to the history, with the reason")
+    parser.add_argument("--note", help="put this run on record, with the reason")
     options = parser.parse_args()
     runs, worse = history(), 0
     found = measured(options.rounds, options.only)
     for name, ratio in found.items():
-        told = (run["ratios"].get(name) for run in reversed(runs))  # type: ignore[attr-defined]
-        before = next((ratio for ratio in told if ratio is not None), None)
+        before = next((run["ratios"][name] for run in runs if name in run["ratios"]), None)
         bad = before is not None and ratio > WORSE * before
         worse += bad
         was = f"{before:8.3g}" if before is not None else "       -"
         sys.stdout.write(f"{name:36} {was} -> {ratio:8.3g}{'  WORSE' if bad else ''}\n")
     if options.note:
-        append(found, options.note)
+        keep(found, options.note)
     return 1 if worse else 0
 
 
