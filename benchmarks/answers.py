@@ -166,17 +166,10 @@ def identified(index: str) -> Answer:
     """What identify says of a drawn record."""
     case = identification.case(SEED, int(index))
     record = case.record
-    asked = {"input": _input(record), "group": case.group, "family": case.family}
+    asked = {"input": _input(record), "group": case.group, "family": case.loop.family}
     try:
         found = identify(
-            record.t,
-            record.sp,
-            record.pv,
-            record.co,
-            open_loop=case.gains is None,
-            gains=case.gains,
-            co_min=case.co_min,
-            co_max=case.co_max,
+            *record, open_loop=case.gains is None, gains=case.gains, co_min=case.loop.low, co_max=case.loop.high
         )
     except ValueError as error:
         return {**asked, "refused": str(error)}
@@ -188,11 +181,9 @@ def diagnosed(name: str) -> Answer:
     kind, index = name.split()
     case = (diagnosis if kind == "cause" else traps).case(SEED, int(index))
     record = case.record
-    asked = {"input": _input(record), "group": case.group, "family": case.family}
+    asked = {"input": _input(record), "group": case.group, "family": case.loop.family}
     try:
-        found = diagnose(
-            record.t, record.sp, record.pv, record.co, gains=case.gains, co_min=case.co_min, co_max=case.co_max
-        )
+        found = diagnose(*record, gains=case.gains, co_min=case.loop.low, co_max=case.loop.high)
     except ValueError as error:
         return {**asked, "refused": str(error)}
     return {**asked, **found.to_dict(), "estimate": found.estimate.to_dict() if found.estimate else None}
@@ -203,7 +194,7 @@ def _gains(gains: PidGains) -> dict[str, float]:
 
 
 def _input(record: Record) -> str:
-    return _hash(b"".join(values.tobytes() for values in (record.t, record.sp, record.pv, record.co)))
+    return _hash(b"".join(values.tobytes() for values in record))
 
 
 def _hash(data: bytes) -> str:

@@ -68,17 +68,12 @@ def spent(work: Callable[[], object]) -> float:
     return time.process_time() - begun
 
 
-def records() -> list[diagnosis.DiagnosisCase]:
-    """Drawn loops, one of each cause in turn."""
-    return list(diagnosis.cases(SEED, RECORDS))
-
-
 def on_records(base: float) -> Iterator[tuple[str, float]]:
     """identify with gains told and diagnose without, in Python: median and worst record."""
-    known = [(case.record, case.gains) for case in records()]
+    known = [(case.record, case.gains) for case in map(partial(diagnosis.case, SEED), range(RECORDS))]
     works = {
-        "identify": [partial(identify, r.t, r.sp, r.pv, r.co, gains=gains) for r, gains in known],
-        "diagnose": [partial(diagnose, r.t, r.sp, r.pv, r.co) for r, _ in known],
+        "identify": [partial(identify, *record, gains=gains) for record, gains in known],
+        "diagnose": [partial(diagnose, *record) for record, _ in known],
     }
     for name, each in works.items():
         times = [spent(work) for work in each]
@@ -88,8 +83,7 @@ def on_records(base: float) -> Iterator[tuple[str, float]]:
 
 def of_engine(_: float) -> Iterator[tuple[str, float]]:
     """Parts that the compiled engine computes, over numpy."""
-    r = records()[0].record
-    window = Window(r.t, r.sp, r.pv, r.co)
+    window = Window(*diagnosis.case(SEED, 0).record)
     record = Prepared.at(window, window.sample_time_s)
     parts: dict[str, Callable[[], object]] = {
         "likelihood of the grid": lambda: log_likelihood(record, 1, 1.0),

@@ -23,8 +23,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from cases import diagnosis, traps
-from cases.case import DiagnosisCase, picture, share, spread
-from cases.plant import robustness, sampled
+from cases.case import picture, share, spread
+from cases.setting import DiagnosisCase
 
 from retuner import diagnosing
 from retuner.schedule.gains import PidGains
@@ -63,12 +63,10 @@ def score(seed: int, folder: str | None, trap: bool, item: tuple[int, str | None
     """Draw one case, diagnose it, judge the answer."""
     index, group = item
     case = traps.case(seed, index, group) if trap else diagnosis.case(seed, index, group)
-    record, begun = case.record, time.process_time()
+    record, loop, begun = case.record, case.loop, time.process_time()
     confidence, retune, evidence, gains = 1.0, False, {}, None
     try:
-        result = diagnosing.diagnose(
-            record.t, record.sp, record.pv, record.co, gains=case.gains, co_min=case.co_min, co_max=case.co_max
-        )
+        result = diagnosing.diagnose(*record, gains=case.gains, co_min=loop.low, co_max=loop.high)
     except ValueError as error:
         answer, reason = "refused", str(error)
     else:
@@ -86,27 +84,25 @@ def score(seed: int, folder: str | None, trap: bool, item: tuple[int, str | None
         told = "\n".join("  ".join(numbers[i : i + 8]) for i in range(0, len(numbers), 8))
         true = "  ".join(f"{k} {v:.3g}" for k, v in case.note.items())
         title = (
-            f"{case.group} / {case.family}, case {case.index}: {case.hidden} called {answer}; Ms after {after:.2f}\n"
+            f"{case.group} / {loop.family}, case {case.index}: {case.hidden} called {answer}; Ms after {after:.2f}\n"
             f"{reason[:130]}\n{told}\ntrue: {true}"
         )
         picture(case.record, title, Path(folder) / f"{case.group.replace(' ', '_')}-{case.index}-{answer}.png")
     return Score(
-        seed, index, case.group, case.family, case.hidden, case.retune_right, sorted(case.right), answer, right, retune,
+        seed, index, case.group, loop.family, case.hidden, case.retune_right, sorted(case.right), answer, right, retune,
         wrong_change, confidence, before, after, kept, product, seconds, len(record.t), reason, evidence,
     )  # fmt: skip
 
 
 def _after(case: DiagnosisCase, gains: PidGains | None) -> tuple[float, float, bool, float]:
     """Ms before and after on the true process, whether the limit is kept, and k' Kc tau_I of an integrating one."""
-    process = sampled(case.process, case.dt_s)
-    before = robustness(process, case.gains).ms
+    loop, process = case.loop, case.loop.process
+    before = loop.margins(case.gains).ms
     if gains is None:
         return before, math.nan, True, math.nan
-    after = robustness(process, gains).ms
-    product = math.nan
-    if case.process.integrators == 1 and gains.ki:
-        product = case.process.k * gains.kp * gains.kp / gains.ki
-    return before, after, after <= max(MS_LIMIT, MS_OVER_BEST * robustness(process, case.best).ms), product
+    after = loop.margins(gains).ms
+    product = process.k * gains.kp * gains.kp / gains.ki if process.integrators == 1 and gains.ki else math.nan
+    return before, after, after <= max(MS_LIMIT, MS_OVER_BEST * loop.margins(loop.best).ms), product
 
 
 def table(scores: list[Score]) -> list[str]:

@@ -16,15 +16,19 @@ import statistics
 import sys
 import time
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 from cases import identification
-from cases.case import IdentificationCase, picture, share, spread
+from cases.case import FloatArray, picture, share, spread
 from cases.loop import performance
-from cases.plant import half_rule, kc_bound, later, robustness, sampled, simc_of
+from cases.plant import HeldPlant, half_rule, later, simc_of
+from cases.setting import IdentificationCase, Loop
 
 from retuner import identify
+from retuner.adaptive.process.model import LinearProcess
 from retuner.schedule.gains import PidGains
 
 MS_LIMIT, MS_OVER_BEST, J_LIMIT = 1.8, 1.03, 1.25
@@ -64,15 +68,18 @@ class Score(NamedTuple):
 OUTCOMES = ("in spec", "not identifiable", "Ms", "J", "unstable", "refused")
 
 
-def judged(case: IdentificationCase, gains: PidGains) -> tuple[str, float, float]:
+def best_of(loop: Loop, gains: PidGains) -> PidGains:
+    """SIMC with perfect knowledge, of the actions that these have."""
+    return loop.best_pid if gains.kd and loop.best_pid is not None else loop.best
+
+
+def judged(loop: Loop, gains: PidGains) -> tuple[str, float, float]:
     """Outcome, Ms and J of settings on the true process."""
-    best = case.best_pid if gains.kd and case.best_pid is not None else case.best
-    process = sampled(case.process, case.dt_s)
-    ms = robustness(process, gains).ms
+    best, ms = best_of(loop, gains), loop.margins(gains).ms
     if not math.isfinite(ms):
         return "unstable", ms, math.inf
-    j = performance(case.process, gains, best, case.theta_eff_s, case.dt_s)
-    if ms > max(MS_LIMIT, MS_OVER_BEST * robustness(process, best).ms):
+    j = performance(loop.process, gains, best, loop.theta_s, loop.dt_s)
+    if ms > max(MS_LIMIT, MS_OVER_BEST * loop.margins(best).ms):
         return "Ms", ms, j
     return ("in spec" if j <= J_LIMIT else "J"), ms, j
 
@@ -80,11 +87,13 @@ def judged(case: IdentificationCase, gains: PidGains) -> tuple[str, float, float
 def z_scores(case: IdentificationCase, found: dict[str, object]) -> dict[str, float]:
     """Error over standard deviation of every parameter, where the structure is right."""
     model, std = found["model"], found["std"]
-    if not isinstance(model, dict) or not isinstance(std, dict) or STRUCTURES.get(case.family) != model["type"]:
+    if not isinstance(model, dict) or not isinstance(std, dict) or STRUCTURES.get(case.loop.family) != model["type"]:
         return {}
-    lags = sorted(case.process.lags_s, reverse=True)
-    truth = {"k": case.process.k, "theta": case.process.theta_s}
-    truth |= {"tau2": lags[0]} if case.process.integrators and lags else dict(zip(("tau1", "tau2"), lags, strict=False))
+    lags = sorted(case.loop.process.lags_s, reverse=True)
+    truth = {"k": case.loop.process.k, "theta": case.loop.process.theta_s}
+    truth |= (
+        {"tau2": lags[0]} if case.loop.process.integrators and lags else dict(zip(("tau1", "tau2"), lags, strict=False))
+    )
     return {key: (model[key] - truth[key]) / std[key] for key in truth if std.get(key)}
 
 
@@ -97,15 +106,8 @@ def score(seed: int, group: str | None, folder: str | None, bounds: bool, index:
     z: dict[str, float] = {}
     structure = ""
     try:
-        # limits of the output, where identify takes them
         result = identify(
-            record.t,
-            record.sp,
-            record.pv,
-            record.co,
-            open_loop=case.gains is None,
-            gains=case.gains,
-            **{"co_min": case.co_min, "co_max": case.co_max} if _takes_limits() else {},
+            *record, open_loop=case.gains is None, gains=case.gains, co_min=case.loop.low, co_max=case.loop.high
         )
     except ValueError as error:
         outcome, reason, seconds = "refused", str(error), time.process_time() - begun
@@ -115,21 +117,21 @@ def score(seed: int, group: str | None, folder: str | None, bounds: bool, index:
         structure = str(result.estimate.log.model().type)
         if result.estimate.identifiable and result.settings is not None:
             gains = (result.aim or result.settings).tuning.gains  # what the record was found to ask for in the end
-            outcome, ms, j = judged(case, gains)
-            best = case.best_pid if gains.kd and case.best_pid is not None else case.best
-            kc_error = abs(math.log(gains.kp / best.kp)) if gains.kp * best.kp > 0 else math.inf
+            outcome, ms, j = judged(case.loop, gains)
+            ratio = gains.kp / best_of(case.loop, gains).kp
+            kc_error = abs(math.log(ratio)) if ratio > 0 else math.inf
             z = z_scores(case, result.estimate.to_dict())
             # |ln Kc / best| by the same rule from the model alone: the error of the estimate, whatever rule follows
-            reduced = later(half_rule(result.estimate.log.model().linear()), case.dt_s / 2)
-            ratio = simc_of(reduced, reduced.theta_s).kp / case.best.kp
+            reduced = later(half_rule(result.estimate.log.model().linear()), case.loop.dt_s / 2)
+            ratio = simc_of(reduced, reduced.theta_s).kp / case.loop.best.kp
             kc_known = abs(math.log(ratio)) if ratio > 0 else math.inf
-    bound = kc_bound(case) if bounds and STRUCTURES.get(case.family) == structure else math.nan
+    bound = kc_bound(case) if bounds and STRUCTURES.get(case.loop.family) == structure else math.nan
     if folder and outcome != "in spec":
         _picture(case, outcome, ms, j, reason, Path(folder))
     return Score(
         index,
         case.group,
-        case.family,
+        case.loop.family,
         outcome,
         ms,
         j,
@@ -144,27 +146,90 @@ def score(seed: int, group: str | None, folder: str | None, bounds: bool, index:
     )
 
 
-@functools.cache
-def _takes_limits() -> bool:
-    """Whether identify takes co_min and co_max."""
-    import inspect
-
-    return "co_min" in inspect.signature(identify).parameters
-
-
 def _picture(case: IdentificationCase, outcome: str, ms: float, j: float, reason: str, folder: Path) -> None:
     """The record of a failure with the truth."""
-    p, m = case.process, half_rule(case.process)
+    p, m = case.loop.process, half_rule(case.loop.process)
     title = (
-        f"{case.group} / {case.family}, case {case.index}: {outcome}, Ms {ms:.2f}, J {j:.2f}\n{reason}\n"
+        f"{case.group} / {case.loop.family}, case {case.index}: {outcome}, Ms {ms:.2f}, J {j:.2f}\n{reason}\n"
         f"true k {p.k:.4g} lags {_few(p.lags_s)} leads {_few(p.leads_s)} pairs {p.quadratics} theta {p.theta_s:.4g} "
         f"integrators {p.integrators}; half rule theta {m.theta_s:.4g} tau1 {m.tau1_s:.4g}; noise {case.noise:.3g}"
     )
-    picture(case.record, title, folder / f"{case.group.replace(' ', '_')}-{case.index}-{case.family}.png")
+    picture(case.record, title, folder / f"{case.group.replace(' ', '_')}-{case.index}-{case.loop.family}.png")
 
 
 def _few(values: Iterable[float]) -> str:
     return " ".join(f"{x:.4g}" for x in values) or "none"
+
+
+# ---- The Cramer-Rao bound of ln Kc: how well any unbiased estimator could know the controller gain from a record.
+#
+# The Fisher information of the true structure under white noise, with the recorded co as input (in closed loop this is
+# the prediction-error information: what co owes to past noise is known). Unknown besides the process are the bias, the
+# size and place of every load step, and for an integrating process the resting input.
+
+PLAIN = frozenset({"open-loop step", "open-loop steps", "setpoint", "load", "setpoint and load", "several", "pid"})
+"""Groups with nothing but steps and white noise."""
+STEP = 1e-4
+
+
+def kc_bound(case: IdentificationCase) -> float:
+    """Smallest standard deviation of ln Kc; NaN where a record has more unknowns than are modelled here."""
+    if case.group not in PLAIN or case.note.get("drift"):
+        return math.nan
+    t = case.record.t
+    n, dt = len(t), case.loop.dt_s
+    loads = [(case.note[f"load_at{i}"], case.note[f"load{i}"]) for i in range(int(case.note.get("loads", 0)))]
+    theta = np.array([0.0] * _free(case.loop.process) + [0.0, 0.0] * len(loads))
+    scale = float(np.ptp(case.record.pv))
+
+    def output(p: FloatArray) -> FloatArray:
+        process = _moved(case.loop.process, p)
+        u = case.record.co - case.record.co[0]
+        for i, (at, size) in enumerate(loads):
+            shift, stretch = p[_free(case.loop.process) + 2 * i : _free(case.loop.process) + 2 * i + 2]
+            u = u + size * (1 + stretch) * np.clip(np.arange(n) + 1 - at - shift, 0, 1)
+        plant = HeldPlant(process, dt)
+        return np.array([0.0, *(plant.move(float(x)) for x in u[:-1])])
+
+    columns = [np.ones(n) * scale]
+    if case.loop.process.integrators:
+        columns.append(np.arange(n) * scale / n)
+    base = np.eye(len(theta)) * STEP
+    columns += [(output(theta + e) - output(theta - e)) / (2 * STEP) for e in base]
+    jacobian = np.column_stack(columns) / case.noise
+    size = np.linalg.norm(jacobian, axis=0)
+    size[size == 0] = 1.0  # the logarithm of a dead time of zero
+    covariance = np.linalg.pinv((jacobian / size).T @ (jacobian / size)) / np.outer(size, size)
+    first = len(columns) - len(theta)
+    free = slice(first, first + _free(case.loop.process))
+    gradient = np.array(
+        [
+            (_ln_kc(_moved(case.loop.process, e), dt) - _ln_kc(_moved(case.loop.process, -e), dt)) / (2 * STEP)
+            for e in np.eye(_free(case.loop.process)) * STEP
+        ]
+    )
+    return float(math.sqrt(gradient @ covariance[free, free] @ gradient))
+
+
+def _free(process: LinearProcess) -> int:
+    """Number of process parameters: gain, dead time, lags."""
+    return 2 + len(process.lags_s)
+
+
+def _moved(process: LinearProcess, p: FloatArray) -> LinearProcess:
+    """The process with its parameters' logarithms moved by p."""
+    factor = np.exp(p[: _free(process)])
+    lags = tuple(float(x * f) for x, f in zip(process.lags_s, factor[2:], strict=True))
+    return replace(process, k=process.k * float(factor[0]), theta_s=process.theta_s * float(factor[1]), lags_s=lags)
+
+
+def _ln_kc(process: LinearProcess, dt_s: float) -> float:
+    """ln Kc of SIMC PI."""
+    model = later(half_rule(process), dt_s / 2)
+    return math.log(abs(simc_of(model, model.theta_s).kp))
+
+
+# ---- Tables
 
 
 def table(scores: list[Score], by: str) -> list[str]:

@@ -1,17 +1,16 @@
 """Records of the eight causes, each a clear case by construction and by the margins of the true process."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
-from cases.case import DiagnosisCase
 from cases.cycling import far_from_own, stiction_record, tone_record
 from cases.loop import Controller, Upsets, run
 from cases.making import NotClear, Plan, event_steps, labelled, record_length, scaled_record, settings, tail
 from cases.plant import FAMILIES, INTEGRATING, log_uniform
-from cases.setting import Loop, draw_loop, settling_s
+from cases.setting import DiagnosisCase, Loop, draw_loop, settling_s
 from cases.signals import coloured, steps
 from retuner.schedule.gains import PidGains
 
@@ -36,18 +35,6 @@ def first_that_fits(rng: np.random.Generator, maker: Maker, group: str) -> Diagn
         with suppress(NotClear):
             return maker(rng)
     raise RuntimeError(f"no loop fits group {group} in {TRIES} draws")
-
-
-def cases(seed: int, count: int, only: str | None = None) -> Iterator[DiagnosisCase]:
-    """The first `count` cases of a seed, or of one cause of it."""
-    return taking_turns(case, CAUSES, seed, count, only)
-
-
-def taking_turns(
-    made: Callable[[int, int], DiagnosisCase], names: Sequence[str], seed: int, count: int, only: str | None
-) -> Iterator[DiagnosisCase]:
-    """The first `count` cases of groups that take turns, or of one of them."""
-    return (made(seed, i) for i in range(count * (len(names) if only else 1)) if only in {None, names[i % len(names)]})
 
 
 def loop_for(rng: np.random.Generator, cause: str) -> Loop:

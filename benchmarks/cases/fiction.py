@@ -9,14 +9,12 @@ load after step     a load step 0.3 to 3 lags after each setpoint step, on a loo
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
-from cases.case import DiagnosisCase
 from cases.making import NotClear, Plan, event_steps, labelled, record_length, scaled_record, settings, valve_record
 from cases.plant import log_uniform
-from cases.setting import Loop, draw_loop
+from cases.setting import DiagnosisCase, Loop, draw_loop
 from cases.signals import KanoValve, Valve, coloured, oscillation, steps
 from retuner.schedule.gains import PidGains
 
@@ -115,5 +113,4 @@ def load_after_step(rng: np.random.Generator, loop_for: Callable[[np.random.Gene
         sizes = [size / loop.theta_s for size in sizes]
     zero = np.zeros(n)
     record = scaled_record(rng, loop, gains, Plan(sp, steps(n, places, sizes), zero, log_uniform(rng, 0.003, 0.02)))
-    made = labelled(loop, gains, record, "load after step", {cause, "unknown"}, f"{cause}, a load after each step")
-    return replace(made, retune_right=cause != "ok")
+    return labelled(loop, gains, record, "load after step", {cause, "unknown"}, f"{cause}, a load after each step")

@@ -5,15 +5,15 @@ Settings in force are SIMC's with kc from a quarter to twice and tau_i from a qu
 Ms under 5.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cases.case import FloatArray, IdentificationCase, Record
+from cases.case import FloatArray, Record
 from cases.loop import Controller, Upsets, run, run_manual
+from cases.making import quantiser
 from cases.plant import FAMILIES, log_uniform
-from cases.setting import Loop, draw_loop, resampled, scaled, scaled_pid, settling_s
+from cases.setting import IdentificationCase, Loop, draw_loop, fitted, scaled, scaled_pid, settling_s
 from cases.signals import ramp, random_walk, steps
 from retuner.schedule.gains import PidGains
 
@@ -69,16 +69,6 @@ def case(seed: int, index: int, group: str | None = None) -> IdentificationCase:
     raise RuntimeError(f"seed {seed}, case {index}: no loop fits group {group}")
 
 
-def cases(seed: int, count: int, only: str | None = None) -> Iterator[IdentificationCase]:
-    """The first `count` cases of a seed, or of one group of it."""
-    if only in BY_NAME:
-        yield from (case(seed, index, only) for index in range(count))
-        return
-    for index in range(count if only is None else count * len(GROUPS)):
-        if only is None or GROUPS[index % len(GROUPS)] == only:
-            yield case(seed, index)
-
-
 def _manual(rng: np.random.Generator, group: str, family: str) -> IdentificationCase | None:
     """An experiment in manual that begins at rest: one step, or several to and fro."""
     loop = draw_loop(rng, family)
@@ -88,7 +78,7 @@ def _manual(rng: np.random.Generator, group: str, family: str) -> Identification
     moves = 1 if group == "open-loop step" else int(rng.integers(2, 5))
     before = float(rng.uniform(1, 4)) * loop.theta_s
     length = before + settle * float(rng.uniform(0.8, 1.3)) * (1 if moves == 1 else 0.6 * moves)
-    loop, n = _fitted(loop, length)
+    loop, n = fitted(loop, length, FEWEST_SAMPLES, MOST_SAMPLES)
     at = before / loop.dt_s + np.arange(moves) * (n - before / loop.dt_s) / moves
     sign = float(rng.choice([-1.0, 1.0]))
     if moves == 1:
@@ -108,7 +98,7 @@ def _manual(rng: np.random.Generator, group: str, family: str) -> Identification
     upsets = Upsets(np.full(n, pv0), out=out, noise=noise * rng.standard_normal(n))
     record = run_manual(process, loop.dt_s, loop.co0 + co, upsets, pv0=pv0)
     note = {"drift": float(np.any(out))}
-    return _case(loop, group, record, None, loop.low, loop.high, noise, note)
+    return IdentificationCase(group, loop, record, None, noise, note)
 
 
 def _manual_drift(rng: np.random.Generator, n: int) -> FloatArray:
@@ -120,15 +110,6 @@ def _manual_drift(rng: np.random.Generator, n: int) -> FloatArray:
         return ramp(n) * float(rng.choice([-1.0, 1.0])) * log_uniform(rng, 0.02, 0.1)
     walk = random_walk(rng, n)
     return np.asarray(walk / np.std(walk) * log_uniform(rng, 0.005, 0.03))
-
-
-def _fitted(loop: Loop, length_s: float, most: int = MOST_SAMPLES) -> tuple[Loop, int]:
-    """A sampling no finer than the record's length allows, and the number of samples; records too long are cut."""
-    coarsest = loop.theta_s / 5.0
-    dt = min(max(loop.dt_s, length_s / most), coarsest)
-    dt = min(dt, length_s / FEWEST_SAMPLES)
-    n = int(min(length_s / dt, most))
-    return (loop if dt == loop.dt_s else resampled(loop, dt)), n
 
 
 def _closed(rng: np.random.Generator, group: str, family: str) -> IdentificationCase | None:
@@ -147,7 +128,8 @@ def _closed(rng: np.random.Generator, group: str, family: str) -> Identification
     settle = settling_s(loop, gains, tau_f)
     events = 3 if group in {"several", *BY_NAME} else 1
     before = float(rng.uniform(1, 5)) * loop.theta_s
-    loop, n = _fitted(loop, before + events * settle * float(rng.uniform(0.8, 1.5)))
+    length = before + events * settle * float(rng.uniform(0.8, 1.5))
+    loop, n = fitted(loop, length, FEWEST_SAMPLES, MOST_SAMPLES)
     if not loop.margins(gains, tau_f).ms < MS_IN_FORCE:
         return None
     return _record(rng, group, loop, gains, tau_f, n, before / loop.dt_s)
@@ -171,12 +153,11 @@ def _record(
     whole = run(loop.process, free, h_s, Upsets(shape.sp, shape.load + drift.drift_in, drift.drift_out), acts=acts)
     travel = float(np.max(np.abs(whole.co))) + 3.5 * kick * share * response
     size = loop.room / travel * log_uniform(rng, 0.15, 0.95)
-    low, high = loop.low, loop.high
     if group == "saturated":
         limits = _clipping(rng, loop, whole.co * size)
         if limits is None:
             return None
-        low, high = limits
+        loop = replace(loop, low=limits[0], high=limits[1])
     noise = share * response * size
     pv0 = float(rng.uniform(-20, 20)) * response * size
     upsets = Upsets(
@@ -185,8 +166,8 @@ def _record(
         size * drift.drift_out,
         noise * rng.standard_normal(len(shape.sp)),
     )
-    sensor = _quantiser(response * size * log_uniform(rng, 0.005, 0.05)) if group == "quantised" else None
-    controller = Controller(gains, tau_f, low, high)
+    sensor = quantiser(response * size * log_uniform(rng, 0.005, 0.05)) if group == "quantised" else None
+    controller = Controller(gains, tau_f, loop.low, loop.high)
     record = run(loop.process, controller, h_s, upsets, co0=loop.co0, pv0=pv0, acts=acts, sensor=sensor)
     # What the historian keeps: the part after the lead-in, without samples lost; time from where it likes
     keep = np.arange(len(record.t)) >= lead_in
@@ -202,7 +183,7 @@ def _record(
     note = {"loads": float(len(shape.loads))}
     for i, (at, load) in enumerate(shape.loads):
         note |= {f"load_at{i}": at, f"load{i}": load * size}
-    return _case(loop, group, record, gains, low, high, noise, note)
+    return IdentificationCase(group, loop, record, gains, noise, note)
 
 
 def _shape(rng: np.random.Generator, group: str, loop: Loop, n: int, first: float, lead_in: int) -> Shape:
@@ -290,37 +271,3 @@ def _irregular(rng: np.random.Generator, n: int, fine: int) -> FloatArray:
     late = rng.integers(-(fine // 4), fine // 4 + 1, n)
     late[0] = 0
     return np.asarray(np.clip(np.arange(n) * fine + late, 0, n * fine - 1))
-
-
-def _quantiser(quantum: float):  # noqa: ANN202
-    """A sensor that reads multiples of a quantum."""
-    return lambda pv: round(pv / quantum) * quantum
-
-
-def _case(
-    loop: Loop,
-    group: str,
-    record: Record,
-    gains: PidGains | None,
-    low: float,
-    high: float,
-    noise: float,
-    note: dict[str, float],
-) -> IdentificationCase:
-    return IdentificationCase(
-        group,
-        loop.family,
-        0,
-        0,
-        record,
-        gains,
-        low,
-        high,
-        loop.process,
-        loop.dt_s,
-        loop.best,
-        loop.best_pid,
-        loop.theta_s,
-        noise,
-        note,
-    )

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cases.case import DiagnosisCase, FloatArray, Record
+from cases.case import FloatArray, Record
 from cases.loop import Controller, Sensor, Upsets, performance, run
 from cases.plant import log_uniform
-from cases.setting import Loop, resampled, scaled, settling_s
+from cases.setting import DiagnosisCase, Loop, fitted, scaled, settling_s
 from cases.signals import Valve, steps
 from retuner.schedule.gains import PidGains
 
@@ -62,13 +62,6 @@ def own_period_s(loop: Loop, gains: PidGains) -> float:
     delayed = loop.process.response(w) * np.exp(-0.5j * w * loop.dt_s)
     s = 1 / np.abs(1 + (gains.kp + gains.ki / (1j * w)) * delayed)
     return float(2 * np.pi / w[int(np.argmax(s))])
-
-
-def fitted(loop: Loop, length_s: float, coarsest_s: float) -> tuple[Loop, int]:
-    """Sampling and number of samples for a record of that length: cut where even the coarsest sampling is too fine."""
-    dt = min(max(loop.dt_s, length_s / MOST_SAMPLES), coarsest_s)
-    dt = min(dt, length_s / FEWEST_SAMPLES)
-    return (loop if dt == loop.dt_s else resampled(loop, dt)), int(min(length_s / dt, MOST_SAMPLES))
 
 
 def event_steps(rng: np.random.Generator, n: int, first: float, count: int, alternate: bool = True) -> FloatArray:
@@ -153,30 +146,13 @@ def labelled(
     loop: Loop, gains: PidGains, record: Record, group: str, right: set[str], hidden: str, **note: float
 ) -> DiagnosisCase:
     """The case, seed and index still to be filled in."""
-    retune = bool(right & {"aggressive", "sluggish", "slow_integrating"})
-    return DiagnosisCase(
-        group,
-        loop.family,
-        0,
-        0,
-        record,
-        gains,
-        loop.low,
-        loop.high,
-        loop.process,
-        loop.dt_s,
-        frozenset(right),
-        retune,
-        hidden,
-        loop.best,
-        loop.theta_s,
-        dict(note),
-    )
+    return DiagnosisCase(group, loop, record, gains, frozenset(right), hidden, note)
 
 
 def record_length(rng: np.random.Generator, loop: Loop, gains: PidGains, events: int) -> tuple[Loop, int, float]:
     """Sampling, samples and place of the first event for that many responses, each given time to settle or nearly."""
     settle = settling_s(loop, gains)
     before = float(rng.uniform(1, 6)) * loop.theta_s
-    loop, n = fitted(loop, before + events * settle * float(rng.uniform(0.7, 1.4)), loop.theta_s / 5)
+    length_s = before + events * settle * float(rng.uniform(0.7, 1.4))
+    loop, n = fitted(loop, length_s, FEWEST_SAMPLES, MOST_SAMPLES)
     return loop, n, min(before / loop.dt_s, 0.3 * n)

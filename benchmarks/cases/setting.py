@@ -1,9 +1,10 @@
-"""A loop drawn at random: process, sampling, units, settings in force, and how long it takes to settle."""
+"""A loop drawn at random: process, sampling, units, settings in force, how long it takes to settle; and its record."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from cases.case import Record
 from cases.loop import Controller, Upsets, run
 from cases.plant import Robustness, best_pi, best_pid, draw, half_rule, log_uniform, robustness, sampled
 from retuner.adaptive.process.model import LinearProcess
@@ -12,6 +13,7 @@ from retuner.schedule.gains import PidGains, from_form, to_series
 RANGES = ((0.0, 100.0), (0.0, 100.0), (0.0, 100.0), (4.0, 20.0), (0.0, 1.0), (0.0, 255.0), (-100.0, 100.0))
 """Ranges of controller outputs that are met with, percent three times as often as any other."""
 SAMPLES_PER_THETA = (5.0, 40.0)
+COARSEST_PER_THETA = 5.0
 PROBE_PER_THETA = 5.0
 PROBE_STEPS = 2400
 FINER_MOST = 8.0
@@ -44,6 +46,48 @@ class Loop:
         return robustness(sampled(self.process, self.dt_s), gains, tau_f_s)
 
 
+@dataclass(frozen=True, slots=True)
+class IdentificationCase:
+    """A record to identify from.
+
+    group : how it came about. loop : with the limits of the record's output; its process is without the sampling's own
+    delay. gains : in force, None for an experiment in manual. noise : standard deviation of the measurement noise.
+    """
+
+    group: str
+    loop: Loop
+    record: Record
+    gains: PidGains | None
+    noise: float
+    note: dict[str, float]
+    seed: int = 0
+    index: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class DiagnosisCase:
+    """A record with the cause that made it.
+
+    group : a cause, or the name of a trap. right : the answers that count as right. hidden : the cause by construction,
+    where it is one of the eight; else what was built.
+    """
+
+    group: str
+    loop: Loop
+    record: Record
+    gains: PidGains
+    right: frozenset[str]
+    hidden: str
+    note: dict[str, float] = field(default_factory=dict)
+    seed: int = 0
+    index: int = 0
+
+    @property
+    def retune_right(self) -> bool:
+        """Whether a change of gains is."""
+        return bool(self.right & {"aggressive", "sluggish", "slow_integrating"})
+
+
 def draw_loop(rng: np.random.Generator, family: str, per_theta: tuple[float, float] = SAMPLES_PER_THETA) -> Loop:
     """A process of the family with its sampling and its output's range."""
     process = draw(rng, family)
@@ -57,17 +101,13 @@ def draw_loop(rng: np.random.Generator, family: str, per_theta: tuple[float, flo
 def resampled(loop: Loop, dt_s: float) -> Loop:
     """The same loop under another sampling."""
     process = loop.process
-    return Loop(
-        loop.family,
-        process,
-        loop.theta_s,
-        dt_s,
-        loop.low,
-        loop.high,
-        loop.co0,
-        best_pi(process, dt_s),
-        best_pid(process, dt_s),
-    )
+    return replace(loop, dt_s=dt_s, best=best_pi(process, dt_s), best_pid=best_pid(process, dt_s))
+
+
+def fitted(loop: Loop, length_s: float, fewest: int, most: int) -> tuple[Loop, int]:
+    """A sampling no finer than a record of that length allows, and the number of samples: too long a record is cut."""
+    dt = min(max(loop.dt_s, length_s / most), loop.theta_s / COARSEST_PER_THETA, length_s / fewest)
+    return (loop if dt == loop.dt_s else resampled(loop, dt)), int(min(length_s / dt, most))
 
 
 def scaled(gains: PidGains, kc: float, tau_i: float) -> PidGains:

@@ -21,12 +21,11 @@ two pulses          two load pulses that look like one swing and its overshoot: 
 band anew, stuck and stepped, fast triangle, load after step: cases/fiction.py
 """
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
-from cases.case import DiagnosisCase, Record
+from cases.case import Record
 from cases.diagnosis import (
     LAG_DOMINANT,
     SELF_REGULATING,
@@ -36,7 +35,6 @@ from cases.diagnosis import (
     loop_for,
     ordered_loop,
     stiction_case,
-    taking_turns,
     tuning_case,
 )
 from cases.fiction import fast_triangle, load_after_step, standing_valve
@@ -54,7 +52,7 @@ from cases.making import (
     valve_record,
 )
 from cases.plant import FAMILIES, INTEGRATING, log_uniform
-from cases.setting import draw_loop, settling_s
+from cases.setting import DiagnosisCase, draw_loop, settling_s
 from cases.signals import SHAPES, backlash, coloured, compressed, narrow_band, random_walk, steps
 
 QUIET = {"ok", "noise", "external", "unknown"}
@@ -243,7 +241,7 @@ def two_pulses(rng: np.random.Generator) -> DiagnosisCase:
 def stiction_lag_dominant(rng: np.random.Generator) -> DiagnosisCase:
     """A lag of ten or more effective dead times."""
     made = stiction_case(rng, group="stiction lag-dominant", families=LAG_DOMINANT)
-    if max(made.process.lags_s) < 10 * made.theta_eff_s:
+    if max(made.loop.process.lags_s) < 10 * made.loop.theta_s:
         raise NotClear
     return made
 
@@ -284,8 +282,3 @@ def case(seed: int, index: int, trap: str | None = None) -> DiagnosisCase:
     rng = np.random.default_rng([seed, index, 3])
     trap = trap or list(TRAPS)[index % len(TRAPS)]
     return replace(first_that_fits(rng, TRAPS[trap], trap), seed=seed, index=index)
-
-
-def cases(seed: int, count: int, only: str | None = None) -> Iterator[DiagnosisCase]:
-    """The first `count` cases of a seed, or of one trap of it."""
-    return taking_turns(case, list(TRAPS), seed, count, only)

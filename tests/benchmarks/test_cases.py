@@ -20,23 +20,16 @@ SEED = 99
 
 
 def sound(case):
-    record = case.record
-    Window(record.t, record.sp, record.pv, record.co)  # finite, of one length, time increasing
-    slack = 1e-9 * (case.co_max - case.co_min)
-    assert record.co.min() >= case.co_min - slack
-    assert record.co.max() <= case.co_max + slack
+    record, low, high = case.record, case.loop.low, case.loop.high
+    Window(*record)  # finite, of one length, time increasing
+    slack = 1e-9 * (high - low)
+    assert record.co.min() >= low - slack
+    assert record.co.max() <= high + slack
     assert 100 <= len(record.t) <= 2600
 
 
 def same(one, two):
-    return all(
-        np.array_equal(a, b)
-        for a, b in zip(
-            (one.record.t, one.record.sp, one.record.pv, one.record.co),
-            (two.record.t, two.record.sp, two.record.pv, two.record.co),
-            strict=True,
-        )
-    )
+    return all(np.array_equal(a, b) for a, b in zip(one.record, two.record, strict=True))
 
 
 @pytest.mark.slow
@@ -50,9 +43,9 @@ def test_identification_cases(group):
     assert (case.gains is None) == (group in identification.MANUAL)
     assert np.ptp(case.record.pv) > 10 * case.noise
     if group == "saturated":
-        assert np.mean((case.record.co <= case.co_min) | (case.record.co >= case.co_max)) > 0.005
+        assert np.mean((case.record.co <= case.loop.low) | (case.record.co >= case.loop.high)) > 0.005
     if group == "irregular time":
-        assert np.ptp(np.diff(case.record.t)) > 0.1 * case.dt_s
+        assert np.ptp(np.diff(case.record.t)) > 0.1 * case.loop.dt_s
 
 
 @pytest.mark.parametrize("cause", diagnosis.CAUSES)
@@ -62,7 +55,7 @@ def test_the_eight_causes(cause):
     assert case.right == {cause}
     assert same(case, diagnosis.case(SEED, index))
     sound(case)
-    found = margins(sampled(case.process, case.dt_s), case.gains)
+    found = margins(sampled(case.loop.process, case.loop.dt_s), case.gains)
     assert found.stable
     if cause == "aggressive":
         assert found.ms > 2.2
@@ -161,6 +154,6 @@ def test_performance_is_one_for_the_reference_and_knows_the_integrated_load_erro
 @pytest.mark.slow
 def test_a_start_in_motion_that_leaves_no_process_does_not_outvote_one_from_rest():
     record = identification.case(9821, 52, None).record  # the other sign, with a dead time of most of the record
-    found = identify_manual(Window(record.t, record.sp, record.pv, record.co))
+    found = identify_manual(Window(*record))
     assert found.identifiable
     assert found.log.type is ProcessType.INTEGRATING
