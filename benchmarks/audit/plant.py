@@ -5,11 +5,16 @@ Each loop is a first-order process with dead time under PI control, all of them 
 with the product: the valve is that of He et al. (2007), the historian's compression a swinging door (Bristol 1990).
 """
 
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+
+sys.path.append(str(Path(__file__).resolve().parents[1]))
+
+from cases.signals import swinging_door
 
 DT_S = 10.0
 KINDS = {
@@ -156,23 +161,7 @@ def recorded(values: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """What a historian keeps of a signal: a grid of 12 bits; of one tag in four straight lines between corners."""
     span = float(np.ptp(values)) or 1.0
     stored = np.round(values / (2 * span) * 4096) / 4096 * 2 * span
-    return swinging_door(stored, 0.004 * span) if rng.random() < 0.25 else stored
-
-
-def swinging_door(values: np.ndarray, deviation: float) -> np.ndarray:
-    """A signal after compression and linear interpolation (Bristol 1990)."""
-    kept, last, low, high = [0], 0, -np.inf, np.inf
-    plain = values.tolist()
-    for i in range(1, len(plain)):
-        over = i - last
-        low = max(low, (plain[i] - deviation - plain[last]) / over)
-        high = min(high, (plain[i] + deviation - plain[last]) / over)
-        if low > high:
-            last, low, high = i - 1, -np.inf, np.inf
-            kept.append(last)
-            low, high = plain[i] - deviation - plain[last], plain[i] + deviation - plain[last]
-    kept.append(len(plain) - 1)
-    return np.interp(np.arange(len(plain)), kept, values[kept])
+    return swinging_door(np.arange(len(stored)), stored, 0.004 * span) if rng.random() < 0.25 else stored
 
 
 def plant(folder: Path, count: int, days: float, seed: int, chunk: int = 125) -> Iterator[list[Loop]]:

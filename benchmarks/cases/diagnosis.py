@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from cases.cycling import far_from_own, stiction_record, tone_record
-from cases.loop import Controller, Upsets, run
+from cases.loop import Upsets
 from cases.making import NotClear, Plan, event_steps, labelled, record_length, scaled_record, settings, tail
 from cases.plant import FAMILIES, INTEGRATING, log_uniform
 from cases.setting import DiagnosisCase, Loop, draw_loop, settling_s
@@ -127,7 +127,7 @@ def saturation_case(rng: np.random.Generator) -> DiagnosisCase:
             load += steps(n, [first + float(rng.uniform(0.5, 0.8)) * (n - first)], [side * excess])
     else:
         sp = steps(n, [float(np.floor(first))], [side * excess * loop.process.k])
-    clean = run(loop.process, Controller(gains, 0.0, loop.low, loop.high), loop.dt_s, Upsets(sp, load), co0=loop.co0)
+    clean = loop.run(gains, Upsets(sp, load))
     at_limit = (clean.co <= loop.low) | (clean.co >= loop.high)
     response = float(np.ptp(clean.pv))
     if np.mean(at_limit) < 0.35 or np.mean(np.abs(clean.sp - clean.pv)[at_limit]) < 0.1 * response:
@@ -135,8 +135,7 @@ def saturation_case(rng: np.random.Generator) -> DiagnosisCase:
     noise = response * log_uniform(rng, 0.003, 0.02)
     pv0 = float(rng.uniform(-20, 20)) * response
     upsets = Upsets(pv0 + sp, load, None, noise * rng.standard_normal(n))
-    controller = Controller(gains, 0.0, loop.low, loop.high)
-    record = run(loop.process, controller, loop.dt_s, upsets, co0=loop.co0, pv0=pv0)
+    record = loop.run(gains, upsets, pv0=pv0)
     share = float(np.mean((record.co <= loop.low) | (record.co >= loop.high)))
     return labelled(loop, gains, record, "saturation", {"saturation"}, "saturation", share=share, settle=settle)
 
@@ -149,8 +148,7 @@ def noise_case(rng: np.random.Generator) -> DiagnosisCase:
     sigma = loop.room / abs(gains.kp) * log_uniform(rng, 0.002, 0.15)
     pv0 = float(rng.uniform(-200, 200)) * sigma
     upsets = Upsets(np.full(n, pv0), noise=sigma * shaped)
-    controller = Controller(gains, 0.0, loop.low, loop.high)
-    record = run(loop.process, controller, loop.dt_s, upsets, co0=loop.co0, pv0=pv0)
+    record = loop.run(gains, upsets, pv0=pv0)
     return labelled(loop, gains, tail(record, 50), "noise", {"noise"}, "noise")
 
 

@@ -82,7 +82,6 @@ class Plan:
     """What a record is made of: upsets in relative size, and what stands between loop and record.
 
     noise : standard deviation relative to pv's response without noise. lead_in : samples run before the record begins.
-    valve : makes the valve from its resting position; then the upsets are in true units and size must be 1.
     """
 
     sp: FloatArray
@@ -90,45 +89,31 @@ class Plan:
     out: FloatArray
     noise: float
     lead_in: int = 0
-    fill: tuple[float, float] = (0.15, 0.9)
     quantum: float = 0.0
 
 
 def scaled_record(rng: np.random.Generator, loop: Loop, gains: PidGains, plan: Plan) -> Record:
     """The loop under the plan, scaled so that the output stays inside its range."""
-    free = Controller(gains)
-    clean = run(loop.process, free, loop.dt_s, Upsets(plan.sp, plan.load, plan.out))
+    clean = run(loop.process, Controller(gains), loop.dt_s, Upsets(plan.sp, plan.load, plan.out))
     response = float(np.ptp(clean.pv[plan.lead_in :]))
     travel = float(np.max(np.abs(clean.co))) + 3.5 * abs(gains.kp) * plan.noise * response
-    size = loop.room / travel * log_uniform(rng, *plan.fill)
+    size = loop.room / travel * log_uniform(rng, 0.15, 0.9)
     pv0 = float(rng.uniform(-20, 20)) * response * size
     noise = plan.noise * response * size * rng.standard_normal(len(plan.sp))
     upsets = Upsets(pv0 + size * plan.sp, size * plan.load, size * plan.out, noise)
     sensor = quantiser(plan.quantum * response * size)
-    controller = Controller(gains, 0.0, loop.low, loop.high)
-    record = run(loop.process, controller, loop.dt_s, upsets, co0=loop.co0, pv0=pv0, sensor=sensor)
-    return tail(record, plan.lead_in)
+    return tail(loop.run(gains, upsets, pv0=pv0, sensor=sensor), plan.lead_in)
 
 
 def valve_record(
     rng: np.random.Generator, loop: Loop, gains: PidGains, plan: Plan, valve: Callable[[float], Valve], response: float
 ) -> Record:
-    """The same with a valve; upsets are in true units and noise is relative to the given response."""
+    """The same with a valve, made from its resting position; upsets are in true units, noise is a share of response."""
     pv0 = float(rng.uniform(-20, 20)) * response
     noise = plan.noise * response * rng.standard_normal(len(plan.sp))
     upsets = Upsets(pv0 + plan.sp, plan.load, plan.out, noise)
-    controller = Controller(gains, 0.0, loop.low, loop.high)
-    record = run(
-        loop.process,
-        controller,
-        loop.dt_s,
-        upsets,
-        co0=loop.co0,
-        pv0=pv0,
-        valve=valve(loop.co0),
-        sensor=quantiser(plan.quantum * response),
-    )
-    return tail(record, plan.lead_in)
+    sensor = quantiser(plan.quantum * response)
+    return tail(loop.run(gains, upsets, pv0=pv0, valve=valve(loop.co0), sensor=sensor), plan.lead_in)
 
 
 def quantiser(quantum: float) -> Sensor | None:

@@ -1,6 +1,7 @@
 """A loop drawn at random: process, sampling, units, settings in force, how long it takes to settle; and its record."""
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -44,6 +45,11 @@ class Loop:
     def margins(self, gains: PidGains, tau_f_s: float = 0.0) -> Robustness:
         """Robustness of the true loop, sampling included."""
         return robustness(sampled(self.process, self.dt_s), gains, tau_f_s)
+
+    def run(self, gains: PidGains, upsets: Upsets, **more: Any) -> Record:
+        """A record in automatic, from rest. more : pv0, valve and sensor, as cases.loop.run takes them."""
+        controller = Controller(gains, 0.0, self.low, self.high)
+        return run(self.process, controller, self.dt_s, upsets, co0=self.co0, **more)
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +108,16 @@ def resampled(loop: Loop, dt_s: float) -> Loop:
     """The same loop under another sampling."""
     process = loop.process
     return replace(loop, dt_s=dt_s, best=best_pi(process, dt_s), best_pid=best_pid(process, dt_s))
+
+
+def slowed(loop: Loop, by: float) -> Loop:
+    """The same loop with everything so many times slower, and its best PI settings."""
+    p, best = loop.process, loop.best
+    lags, leads = (tuple(x * by for x in times) for times in (p.lags_s, p.leads_s))
+    pairs = tuple((c1 * by, c2 * by * by) for c1, c2 in p.quadratics)
+    process = LinearProcess(p.k / by**p.integrators, lags, leads, p.theta_s * by, p.integrators, pairs)
+    best = PidGains(best.kp, best.ki / by, best.kd * by)
+    return replace(loop, process=process, theta_s=loop.theta_s * by, dt_s=loop.dt_s * by, best=best, best_pid=None)
 
 
 def fitted(loop: Loop, length_s: float, fewest: int, most: int) -> tuple[Loop, int]:

@@ -75,8 +75,8 @@ def oscillation(rng: np.random.Generator, n: int, period: float, shape: str, jit
 # ---- What historians do to a signal before they store it, and give back between the stored points
 
 
-def swinging_door(t: FloatArray, x: FloatArray, deviation: float) -> FloatArray:
-    """Straight lines through the points that a swinging door of that half-width keeps (Bristol 1990)."""
+def corners(t: FloatArray, x: FloatArray, deviation: float) -> list[int]:
+    """Points that a swinging door of that half-width keeps, straight lines between them (Bristol 1990)."""
     kept = [0]
     low, high = -np.inf, np.inf
     for i in range(1, len(x)):
@@ -87,26 +87,34 @@ def swinging_door(t: FloatArray, x: FloatArray, deviation: float) -> FloatArray:
             kept.append(i - 1)
             span = t[i] - t[i - 1]
             low, high = (x[i] - deviation - x[i - 1]) / span, (x[i] + deviation - x[i - 1]) / span
-    kept.append(len(x) - 1)
-    return np.interp(t, t[kept], x[kept])
+    return [*kept, len(x) - 1] if kept[-1] < len(x) - 1 else kept
 
 
-def boxcar(x: FloatArray, deviation: float) -> FloatArray:
-    """The last stored value until the signal leaves it by the deviation."""
-    out = np.empty_like(x)
-    held = x[0]
-    for i, value in enumerate(x.tolist()):
-        if abs(value - held) > deviation:
-            held = value
-        out[i] = held
-    return out
+def swinging_door(t: FloatArray, x: FloatArray, deviation: float) -> FloatArray:
+    """The lines between its corners."""
+    at = corners(t, x, deviation)
+    return np.interp(t, t[at], x[at])
+
+
+def exceptions(x: FloatArray, deviation: float) -> list[int]:
+    """Samples that are sent on: the first, and each that is a deviation away from the last one."""
+    sent = [0]
+    for i in range(1, len(x)):
+        if abs(x[i] - x[sent[-1]]) > deviation:
+            sent.append(i)
+    return sent
+
+
+def held(x: FloatArray, sent: list[int]) -> FloatArray:
+    """The last sample that was sent on."""
+    return x[np.array(sent)[np.searchsorted(sent, np.arange(len(x)), side="right") - 1]]
 
 
 def compressed(rng: np.random.Generator, record: Record) -> Record:
     """pv and co through one of the two, with deviations of 0.5 to 2 % of their ranges."""
     doors = rng.uniform() < 0.6
     pv, co = (
-        swinging_door(record.t, x, d) if doors else boxcar(x, d)
+        swinging_door(record.t, x, d) if doors else held(x, exceptions(x, d))
         for x, d in ((x, float(rng.uniform(0.005, 0.02)) * float(np.ptp(x))) for x in (record.pv, record.co))
     )
     return Record(record.t, record.sp, pv, co)

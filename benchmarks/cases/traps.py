@@ -45,6 +45,7 @@ from cases.making import (
     event_steps,
     labelled,
     own_period_s,
+    quantiser,
     record_length,
     scaled_record,
     settings,
@@ -138,10 +139,8 @@ def no_response(rng: np.random.Generator) -> DiagnosisCase:
     pv0 = float(rng.uniform(-20, 20)) * error
     sp = np.full(n, pv0) if stands else pv0 + event_steps(rng, n, 0.2 * n, 2) * error
     start = pv0 - error if stands else pv0
-    sensor_at = start + noise
-    reads = iter(sensor_at.tolist())
-    controller = Controller(gains, 0.0, loop.low, loop.high)
-    record = run(loop.process, controller, loop.dt_s, Upsets(sp), co0=loop.co0, pv0=pv0, sensor=lambda _: next(reads))
+    reads = iter((start + noise).tolist())
+    record = loop.run(gains, Upsets(sp), pv0=pv0, sensor=lambda _: next(reads))
     at_limit = float(np.mean((record.co <= loop.low) | (record.co >= loop.high)))
     if float(np.ptp(record.co)) < 0.02 * (loop.high - loop.low):
         raise NotClear
@@ -171,16 +170,7 @@ def quiet(rng: np.random.Generator) -> DiagnosisCase:
     quantum = sigma * float(rng.uniform(1.0, 4.0))
     pv0 = round(float(rng.uniform(-200, 200))) * quantum
     upsets = Upsets(np.full(n + 50, pv0), noise=sigma * rng.standard_normal(n + 50))
-    controller = Controller(gains, 0.0, loop.low, loop.high)
-    record = run(
-        loop.process,
-        controller,
-        loop.dt_s,
-        upsets,
-        co0=loop.co0,
-        pv0=pv0,
-        sensor=lambda pv: round(pv / quantum) * quantum,
-    )
+    record = loop.run(gains, upsets, pv0=pv0, sensor=quantiser(quantum))
     if np.ptp(record.pv[50:]) == 0:
         raise NotClear
     return labelled(loop, gains, tail(record, 50), "quiet", {"ok", "noise", "unknown"}, "quiet")

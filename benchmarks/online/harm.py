@@ -27,13 +27,12 @@ from cases.case import FloatArray
 from cases.cycling import LONGEST_PERIOD, limit_cycle, sticking
 from cases.making import NotClear, own_period_s, quantiser
 from cases.plant import FAMILIES, INTEGRATING, log_uniform
-from cases.setting import Loop, draw_loop, resampled, scaled
+from cases.setting import Loop, draw_loop, resampled, scaled, slowed
 from cases.signals import Valve, coloured, oscillation, random_walk
 
 from online.judge import Judge, at_most
 from online.runner import Task
 from online.session import Row, Session, effects
-from retuner.adaptive.process.model import LinearProcess
 from retuner.schedule.gains import PidGains
 
 KINDS = ("quiet", "stiction", "external", "saturation")
@@ -113,17 +112,7 @@ def quiet(rng: np.random.Generator) -> Scene:
     """An hour at rest."""
     loop = draw_loop(rng, str(rng.choice(FAMILIES)))
     dt_s = log_uniform(rng, *SAMPLE_TIMES_S)
-    p, f = loop.process, dt_s / loop.dt_s
-    slower = LinearProcess(
-        p.k / f**p.integrators,
-        tuple(x * f for x in p.lags_s),
-        tuple(x * f for x in p.leads_s),
-        p.theta_s * f,
-        p.integrators,
-        tuple((c1 * f, c2 * f * f) for c1, c2 in p.quadratics),
-    )
-    whole = Loop(loop.family, slower, loop.theta_s * f, dt_s, loop.low, loop.high, loop.co0, loop.best, loop.best_pid)
-    loop = resampled(whole, dt_s)
+    loop = resampled(slowed(loop, dt_s / loop.dt_s), dt_s)
     state = rng.uniform()
     gains = in_spec_gains(rng, loop) if state < 0.6 else scaled(loop.best, 1 / 3 if state < 0.8 else 1.6, 1.0)
     if not loop.margins(gains).stable:
@@ -181,15 +170,18 @@ def toned(rng: np.random.Generator) -> Scene:
     if not 6 < period / loop.dt_s < LONGEST_PERIOD:
         raise NotClear
     n = int(min(CYCLES * period / loop.dt_s, MOST_SAMPLES))
-    shape = "sine" if rng.uniform() < 0.7 else str(rng.choice(["triangle", "saw", "filtered-square", "pulses"]))
-    wave = oscillation(rng, n, period / loop.dt_s, shape, float(rng.choice([0.0, 0.05])))
-    out = log_uniform(rng, 0.01, 0.05) * rng.standard_normal(n)
-    load = np.zeros(n)
-    if rng.uniform() < 0.6:
-        load = wave * abs(loop.best.kp) * 2
-    else:
-        out = out + wave
+    load, out = tone(rng, loop, n, period / loop.dt_s)
     return Scene(loop, gains, load, out, steps_of(rng, n, float(rng.uniform(0.5, 5.0))), SPAN_OVER_SWING)
+
+
+def tone(rng: np.random.Generator, loop: Loop, n: int, period: float) -> tuple[FloatArray, FloatArray]:
+    """n samples of load and of what is added to pv: noise, and an oscillation in one of them. period : in samples."""
+    shape = "sine" if rng.uniform() < 0.7 else str(rng.choice(["triangle", "saw", "filtered-square", "pulses"]))
+    wave = oscillation(rng, n, period, shape, float(rng.choice([0.0, 0.05])))
+    out = log_uniform(rng, 0.01, 0.05) * rng.standard_normal(n)
+    if rng.uniform() < 0.6:
+        return wave * abs(loop.best.kp) * 2, out
+    return np.zeros(n), out + wave
 
 
 def limited(rng: np.random.Generator) -> Scene:

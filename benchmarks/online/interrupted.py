@@ -21,14 +21,13 @@ back a set in spec for one that is not; and changes for the worse whatever they 
 
 import math
 from collections.abc import Iterator
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 from cases.case import share
 from cases.loop import FAR
 from cases.plant import FAMILIES, log_uniform
-from cases.setting import Loop, draw_loop, scaled
+from cases.setting import Loop, draw_loop, scaled, slowed
 
 from online.judge import Judge
 from online.loop import WRITTEN, Watching, one_region, settings
@@ -127,20 +126,7 @@ def drawn(kind: str, rng: np.random.Generator, *, aggressive: bool) -> tuple[Loo
     while True:
         loop = draw_loop(rng, str(rng.choice([x for x in FAMILIES if x != "oscillatory"])), (8.0, 8.0 + 1e-9))
         if kind in THETA_S:
-            by = THETA_S[kind] / loop.theta_s
-            p = loop.process
-            process = replace(
-                p,
-                k=p.k / by**p.integrators,
-                lags_s=tuple(by * x for x in p.lags_s),
-                quadratics=tuple((by * c1, by * by * c2) for c1, c2 in p.quadratics),
-                **{
-                    name: tuple(by * x for x in getattr(p, name)) for name in ("leads_s", "zeros_s") if hasattr(p, name)
-                },
-                theta_s=by * p.theta_s,
-            )
-            best = PidGains(loop.best.kp, loop.best.ki / by, loop.best.kd * by)
-            loop = replace(loop, process=process, best=best, theta_s=by * loop.theta_s, dt_s=by * loop.dt_s)
+            loop = slowed(loop, THETA_S[kind] / loop.theta_s)
         judge = Judge(loop.process, loop.dt_s, (loop.best, loop.theta_s))
         fast = (log_uniform(rng, 1.6, 3.0), 1 / log_uniform(rng, 1.0, 2.0))
         gains = scaled(loop.best, *(fast if aggressive else (1 / log_uniform(rng, 3.0, 5.0), 1.0)))

@@ -35,32 +35,6 @@ class Local:
         return LinearProcess(self.k, _lags(self.tau1_s, self.tau2_s), (), self.theta_s)
 
 
-@dataclass(frozen=True, slots=True)
-class Range:
-    """A process over y in 0..100: each parameter grows by `factor` to the power of its sign over the range.
-
-    middle : at y = 50. signs : of the growth of k, tau1 (and tau2), theta.
-    """
-
-    middle: Local
-    signs: tuple[int, int, int]
-    factor: float = 4.0
-
-    def at(self, y: float) -> Local:
-        """The linearisation at y."""
-        place = (min(max(y, 0.0), 100.0) - 50.0) / 100.0
-        k, tau, theta = (self.factor ** (sign * place) for sign in self.signs)
-        m = self.middle
-        return Local(m.k * k, m.tau1_s * tau, m.tau2_s * tau, m.theta_s * theta)
-
-    def rest(self, y: float) -> float:
-        """The input that holds y: the integral of dy/k(y) from 50."""
-        inside = min(max(y, 0.0), 100.0)
-        slope = self.signs[0] * math.log(self.factor) / 100.0
-        u = (1 - math.exp(-slope * (inside - 50.0))) / (slope * self.middle.k)
-        return u + (y - inside) / self.at(inside).k
-
-
 class VaryingPlant:
     """See the head of this file; about the resting point (y0, u0).
 

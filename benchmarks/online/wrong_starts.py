@@ -15,7 +15,6 @@ from cases.cycling import LONGEST_PERIOD
 from cases.making import own_period_s
 from cases.plant import log_uniform
 from cases.setting import scaled
-from cases.signals import oscillation
 
 from online import harm
 from online.judge import Judge
@@ -26,7 +25,6 @@ from retuner.schedule.gains import PidGains
 __all__ = ["KINDS", "line", "run", "table"]
 KINDS = ("tone", "valve")
 UPSETS, REST_SAMPLES = 6, 200
-SHAPES = ("triangle", "saw", "filtered-square", "pulses")
 
 
 def drawn(kind: str, rng: np.random.Generator) -> tuple[harm.Scene, PidGains, tuple[float, float]]:
@@ -45,15 +43,8 @@ def toned(scene: harm.Scene, rng: np.random.Generator, n: int) -> tuple[list[flo
     while True:
         period = log_uniform(rng, 0.35, 8.0) * own_period_s(loop, loop.best) / loop.dt_s
         if 6 < period < LONGEST_PERIOD:
-            break
-    shape = "sine" if rng.uniform() < 0.7 else str(rng.choice(SHAPES))
-    wave = oscillation(rng, n, period, shape, float(rng.choice([0.0, 0.05])))
-    out, load = log_uniform(rng, 0.01, 0.05) * rng.standard_normal(n), np.zeros(n)
-    if rng.uniform() < 0.6:
-        load = wave * abs(loop.best.kp) * 2
-    else:
-        out = out + wave
-    return load.tolist(), out.tolist()
+            load, out = harm.tone(rng, loop, n, period)
+            return load.tolist(), out.tolist()
 
 
 def run(task: Task) -> Row:

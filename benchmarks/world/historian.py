@@ -6,33 +6,10 @@ given back            the last value, or a straight line between those kept
 gaps                  pv and co keep the last value together
 """
 
-from itertools import pairwise
-
 import numpy as np
+from cases.signals import corners, exceptions, held
 
 from world.process import FloatArray
-
-
-def exceptions(x: FloatArray, band: float) -> list[int]:
-    """Samples that are sent on: the first, and each that is a band away from the last one."""
-    sent = [0]
-    for i in range(1, len(x)):
-        if abs(x[i] - x[sent[-1]]) > band:
-            sent.append(i)
-    return sent
-
-
-def corners(x: FloatArray, sent: list[int], band: float) -> list[int]:
-    """Of the samples that were sent on, those from which no straight line leads past all others within a band."""
-    found, high, low = [sent[0]], np.inf, -np.inf
-    for before, i in pairwise(sent):
-        first = found[-1]
-        high = min(high, (x[i] + band - x[first]) / (i - first))
-        low = max(low, (x[i] - band - x[first]) / (i - first))
-        if low > high:
-            found.append(before)
-            high, low = (x[i] + band - x[before]) / (i - before), (x[i] - band - x[before]) / (i - before)
-    return found if found[-1] == sent[-1] else [*found, sent[-1]]
 
 
 def kept(rng: np.random.Generator, pv: FloatArray, co: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -46,11 +23,10 @@ def kept(rng: np.random.Generator, pv: FloatArray, co: FloatArray) -> tuple[Floa
         band = float(np.ptp(x) * np.exp(rng.uniform(np.log(0.0005), np.log(0.01))))
         sent = list(range(n)) if way == "whole" else exceptions(x, band / 2)
         if way == "compressed":
-            at = corners(x, sent, band)
+            at = np.array(sent)[corners(np.array(sent), x[sent], band)]
             found.append(np.interp(np.arange(n), at, x[at]))
         else:
-            last = np.searchsorted(sent, np.arange(n), side="right") - 1
-            found.append(x[np.array(sent)[last]])
+            found.append(held(x, sent))
     lost, length = (
         float(np.exp(rng.uniform(np.log(0.0005), np.log(0.6)))),
         rng.choice([1.0, 2.0, 10.0], p=[0.5, 0.4, 0.1]),

@@ -13,7 +13,8 @@ from online.loop import FixedGains, LostLoop, WatchedLoop, one_region
 from online.rivals import batch as processes
 from online.rivals import relay_then_ziegler_nichols, step_then_simc
 from online.runner import Task, rows_of
-from online.varying import Local, Range, VaryingPlant
+from online.varying import Local, VaryingPlant
+from schedules.records import Course, shape
 
 from retuner.adaptive.loop.margins import ultimate
 from retuner.adaptive.process.model import LinearProcess
@@ -229,7 +230,7 @@ def test_a_load_that_wanders_takes_back_no_right_set_and_hides_no_unstable_one()
 
 # ---- Processes that vary: against exact held responses, their own linearisation, and the changes drawn for them
 
-RANGE = Range(Local(2.0, 5.0, 1.0, 1.0), (1, -1, 1))
+COURSE = Course(Local(2.0, 5.0, 1.0, 1.0), (1, -1, 1), 4.0, shape("ramp", 0.5))
 
 
 def moved(plant, u, n):
@@ -238,8 +239,8 @@ def moved(plant, u, n):
 
 @pytest.mark.parametrize("y", [10.0, 50.0, 90.0])
 def test_small_steps_show_the_linearisation_there(y):
-    plant = VaryingPlant(RANGE.at, RANGE.rest, 0.1, y)
-    linear = HeldPlant(RANGE.at(y).linear(), 0.1)
+    plant = VaryingPlant(COURSE.at, COURSE.rest, 0.1, y)
+    linear = HeldPlant(COURSE.at(y).linear(), 0.1)
     found, exact = moved(plant, 1e-4, 300), moved(linear, 1e-4, 300)
     assert found == pytest.approx(exact, abs=0.01 * abs(exact[-1]))
 
