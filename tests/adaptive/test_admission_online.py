@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from pi_loop import Lag, pi_loop, samples_of
 
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.supervision.admission import Ground
@@ -22,18 +23,10 @@ Fault = Callable[[LoopSample], LoopSample]
 def heard(fault: Fault, sp: Callable[[int], float] = lambda i: float(i >= STEP_AT)) -> tuple[Retuner, list[Decision]]:
     """e^-5s/(50 s + 1) under good PI gains and one percent of noise; the fault is in what telemetry says."""
     table = GainTable("loop", Regions("pv", "-", ("low", "high"), -50.0, (20.0,), 50.0, 2.0), (GAINS, GAINS))
-    retuner, rng = Retuner(table, RetunerSettings(1.0, 10.0, Mode.AUTO)), np.random.default_rng(4)
-    x = integral = 0.0
-    past, decisions, a = [0.0] * 5, [], float(np.exp(-1 / 50.0))
-    for i in range(N):
-        pv = x + 0.01 * float(rng.standard_normal())
-        integral += GAINS.ki * (sp(i) - pv)
-        co = GAINS.kp * (sp(i) - pv) + integral
-        past.append(co)
-        x = a * x + (1 - a) * past.pop(0)
-        decision = retuner.observe(fault(LoopSample(float(i), sp(i), pv, co)))
-        decisions += [decision] if decision is not None else []
-    return retuner, decisions
+    retuner, noise = Retuner(table, RetunerSettings(1.0, 10.0, Mode.AUTO)), np.random.default_rng(4).standard_normal(N)
+    window = pi_loop(GAINS, Lag(50.0, 5), np.array([sp(i) for i in range(N)]), 0.01 * noise)
+    heard = [retuner.observe(fault(sample)) for sample in samples_of(window)]
+    return retuner, [decision for decision in heard if decision is not None]
 
 
 def limited(s: LoopSample) -> LoopSample:

@@ -5,11 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import answer, printed
+from pi_loop import pi_loop
 
 from retuner.adaptive.identification.by_region import by_region
 from retuner.adaptive.signals.sample import Window
 from retuner.api import identify_by_region
 from retuner.cli import main
+from retuner.schedule.gains import PidGains
 
 LOW, HIGH, BORDER = 0.01, 0.03, 50.0
 """Slope gains below and above the border, per second."""
@@ -17,18 +19,15 @@ LOW, HIGH, BORDER = 0.01, 0.03, 50.0
 
 def level(noise: float = 0.05) -> Window:
     """PI on a tank that is three times as narrow above the border, two setpoint steps on either side of it."""
-    rng = np.random.default_rng(4)
-    sp = np.repeat([30.0, 34.0, 30.0, 70.0, 74.0, 70.0], 400)
-    h, integral, past = 30.0, 0.0, [0.0] * 8
-    rows = []
-    for target in sp:
-        pv = h + noise * rng.standard_normal()
-        integral += 0.004 * (target - pv)
-        past.append(1.5 * (target - pv) + integral)
-        rows.append((pv, past[-1]))
+    sp, h, past = np.repeat([30.0, 34.0, 30.0, 70.0, 74.0, 70.0], 400), 30.0, [0.0] * 7
+
+    def process(u: float, _load: float) -> float:
+        nonlocal h
+        past.append(u)
         h += (LOW if h < BORDER else HIGH) * past.pop(0)
-    pv, co = np.array(rows).T
-    return Window(np.arange(len(sp)) * 1.0, sp, pv, co)
+        return h
+
+    return pi_loop(PidGains(1.5, 0.004), process, sp, noise * np.random.default_rng(4).standard_normal(len(sp)))
 
 
 def test_each_region_has_its_own_gain() -> None:

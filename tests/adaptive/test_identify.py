@@ -10,6 +10,7 @@ import pytest
 from effort import examples, sized
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pi_loop import Lag, pi_loop
 
 from retuner.adaptive.choice.choice_settings import ChoiceSettings
 from retuner.adaptive.choice.expected_cost import Choosable, LoopSettings, outlooks
@@ -210,20 +211,10 @@ DT, N = 1.0, 400
 
 def recorded(*, ramp_s: float = LASTS_S, sp: float = 0.0, seed: int = 2) -> Window:
     """PI on a lag with dead time; the load moves to 1 along a ramp, and stays."""
-    rng, t = np.random.default_rng(seed), DT * np.arange(N)
-    load = np.clip((t - BEGINS_S) / max(ramp_s, 1e-9), 0.0, 1.0)
-    y, integral, late = 0.0, 0.0, int(THETA_S / DT)
-    pv, co, u = np.zeros(N), np.zeros(N), np.zeros(N + late)
+    t = DT * np.arange(N)
+    load, noise = np.clip((t - BEGINS_S) / max(ramp_s, 1e-9), 0.0, 1.0), np.random.default_rng(seed).standard_normal(N)
     target = np.where(t >= BEGINS_S, sp, 0.0)
-    for i in range(N):
-        pv[i] = y + 0.004 * rng.standard_normal()
-        error = target[i] - pv[i]
-        integral += 1.6 / 25 * error * DT
-        co[i] = 1.6 * error + integral
-        u[i + late] = co[i]
-        drive = (u[i] if i >= late else 0.0) + load[i]
-        y += (1 - math.exp(-DT / LAG_S)) * (K * drive - y)
-    return Window(t, target, pv, co)
+    return pi_loop(PidGains(1.6, 1.6 / 25), Lag(LAG_S, int(THETA_S), K), target, 0.004 * noise, load)
 
 
 def test_a_ramp_is_found_as_two_corners_and_the_process_beside_it() -> None:

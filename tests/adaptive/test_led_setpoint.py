@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 import pytest
+from pi_loop import Lag, pi_loop, samples_of
 
 from retuner.adaptive.signals.noise import MEDIAN_TO_SIGMA, NoiseState, noise_at_least
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
@@ -36,16 +37,8 @@ def made(again_s: float = AdmissionSettings().led_again_s) -> Retuner:
 
 def samples(sp: npt.NDArray[np.float64], noise: float = 0.01) -> list[LoopSample]:
     """1/(40 s + 1) under PI, and one percent of noise."""
-    rng = np.random.default_rng(4)
-    x = integral = 0.0
-    found = []
-    for i, wanted in enumerate(sp.tolist()):
-        pv = x + noise * float(rng.standard_normal())
-        integral += GAINS.ki * (wanted - pv)
-        co = GAINS.kp * (wanted - pv) + integral
-        x += (co - x) / 40.0
-        found.append(LoopSample(float(i), wanted, pv, co))
-    return found
+    found = pi_loop(GAINS, Lag(40.0), sp, noise * np.random.default_rng(4).standard_normal(len(sp)))
+    return samples_of(found)
 
 
 def noisy(size: float = 0.1, n: int = N) -> npt.NDArray[np.float64]:

@@ -1,5 +1,6 @@
 """pv that stands while co travels: found in a real record and in simulated ones, and not where a loop is healthy."""
 
+import math
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pi_loop import Lag, pi_loop
 from test_beside_a_load import recorded
 
 from retuner import api, diagnosing
@@ -35,21 +37,15 @@ def _by_itself(name: str) -> StandStill | None:
 
 def flow_loop(positions: list[float] | None, sp: np.ndarray, load: np.ndarray, seed: int = 1) -> Window:
     """A fast flow process of gain 2 under PI. positions : where a stuck valve comes to stand, when co is 8 away."""
-    rng = np.random.default_rng(seed)
-    n = len(sp)
-    pv, co, valve, integral, stands = 0.0, 0.0, 0.0, 0.0, list(positions or [])
-    rows = []
-    for i in range(n):
-        seen = pv + 0.02 * rng.standard_normal()
-        integral += GAINS.ki * (sp[i] - seen)
-        co = GAINS.kp * (sp[i] - seen) + integral
-        rows.append((float(i), sp[i], seen, co))
-        if positions is None:
-            valve = co
-        elif stands and abs(co - valve) > 8.0:
-            valve = stands.pop(0)
-        pv += (2 * (valve + load[i]) - pv) * 0.6
-    return Window(*np.array(rows).T)
+    noise, at, stands = 0.02 * np.random.default_rng(seed).standard_normal(len(sp)), 0.0, list(positions or [])
+
+    def valve(co: float) -> float:
+        nonlocal at
+        if positions is None or (stands and abs(co - at) > 8.0):
+            at = co if positions is None else stands.pop(0)
+        return at
+
+    return pi_loop(GAINS, Lag(-1.0 / math.log(0.4), k=2.0), sp, noise, np.append(0.0, load[:-1]), valve=valve)
 
 
 def test_pv_as_steps():

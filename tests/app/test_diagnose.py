@@ -11,6 +11,7 @@ import command_line
 import numpy as np
 import pytest
 from command_line import printed, refused
+from pi_loop import Lag, pi_loop, written
 
 from retuner import diagnosing
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
@@ -27,6 +28,7 @@ from retuner.commands.recorded.record_options import renamed
 from retuner.commands.recorded.recorded_loop import controller, read_loop
 from retuner.decision_page.evidence_words import GROUPS, WORDS, evidence_lines, value_text
 from retuner.errors import UserError
+from retuner.schedule.gains import PidGains
 from retuner.tuning import tune
 
 answer = partial(command_line.answer, silent=True)
@@ -82,19 +84,9 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[dict]:
 
 def loop(path: Path, n: int = 400, noise: float = 0.02, kc: float = 2.0, **spoilt: np.ndarray) -> Path:
     """PI with Kc 2, tau_I 20 s on a lag of 20 s, gain 1, dead time 3 s, sampled every second, setpoint steps."""
-    rng = np.random.default_rng(1)
-    sp = np.where((np.arange(n) // 100) % 2 == 0, 10.0, 12.0)
-    pv, co = np.zeros(n), np.zeros(n)
-    x, integral, queue = 10.0, 10.0, [10.0] * 3
-    for i in range(n):
-        pv[i] = x + noise * rng.normal()
-        co[i] = kc * (sp[i] - pv[i]) + integral
-        integral += kc / 20 * (sp[i] - pv[i])
-        queue.append(co[i])
-        x += (queue.pop(0) - x) / 20
-    columns = {"t": np.arange(float(n)), "sp": sp, "pv": pv, "co": co, **spoilt}
-    np.savetxt(path, np.stack(list(columns.values()), axis=1), delimiter=",", header=",".join(columns), comments="")
-    return path
+    sp, white = 10.0 + 2.0 * (np.arange(n) // 100 % 2), np.random.default_rng(1).normal(size=n)
+    found = pi_loop(PidGains(kc, kc / 20), Lag(20.0, 3, at=10.0), sp, noise * white, co0=10.0)
+    return written(path, replace(found, **spoilt))
 
 
 @pytest.mark.parametrize(("kc", "cause"), [(7.0, "aggressive"), (0.5, "sluggish"), (3.0, "ok")])

@@ -7,12 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import refused
+from pi_loop import Lag, pi_loop, written
 
 from retuner.cli import main
 from retuner.config.loading import load_config
 from retuner.config.plants import IdentifiedPlantConfig
 from retuner.schedule.gains import PidGains
-from retuner.schedule.pid import StateTuple, law, start, step
+from retuner.schedule.late_dataclass import replace
 
 
 def answered(monkeypatch: pytest.MonkeyPatch, file: Path, *answers: str) -> None:
@@ -22,17 +23,9 @@ def answered(monkeypatch: pytest.MonkeyPatch, file: Path, *answers: str) -> None
 
 def record(path: Path, *, co: float = 1.0) -> Path:
     """A loop with Kc 3 and tau_I 20 s on a lag of 20 s; co : scale of its column."""
-    rng, rules = np.random.default_rng(3), law(PidGains(3.0, 0.15))
-    state: StateTuple = start(rules, 50.0, 50.0, 50.0)
-    pv, way, rows = 50.0, [50.0] * 3, []
-    for i in range(300):
-        sp, seen = 50.0 + 3.0 * (i >= 100), pv + 0.05 * rng.normal()
-        state, out = step(rules, state, sp, seen, 1.0)
-        rows.append(f"{i},{sp},{seen!r},{out * co!r}")
-        way.append(out)
-        pv += (way.pop(0) - pv) / 20.0
-    path.write_text("t,sp,pv,co\n" + "\n".join(rows) + "\n", encoding="utf-8")
-    return path
+    sp, noise = np.where(np.arange(300) >= 100, 53.0, 50.0), 0.05 * np.random.default_rng(3).normal(size=300)
+    found = pi_loop(PidGains(3.0, 0.15), Lag(20.0, 3, at=50.0), sp, noise, co0=50.0)
+    return written(path, replace(found, co=co * found.co))
 
 
 def test_the_answers_make_the_configuration(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,12 +1,12 @@
 """diagnose, identify, schedule, audit and the retuner on line say one cause of a record."""
 
 import json
-import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
+from pi_loop import Lag, pi_loop, written
 
 from retuner import diagnosing
 from retuner.adaptive.cause_odds.odds import OddsFound, diagnose_records
@@ -32,16 +32,8 @@ def tight(folder: Path) -> Path:
     """A loop with four times the gain that it should have, under a load that wanders, with a setpoint step."""
     rng, n = np.random.default_rng(2), 260
     drift, sp = np.cumsum(rng.standard_normal(n)) * 0.1, np.where((np.arange(n) > 100) & (np.arange(n) < 180), 8.0, 0.0)
-    pole, total, y = math.exp(-1 / 20.0), 0.0, 0.0
-    pv, co = np.zeros(n), np.zeros(n)
-    for i in range(n):
-        y = pole * y + (1 - pole) * ((co[i - 5] if i > 4 else 0.0) + drift[i])
-        pv[i] = y + 0.02 * rng.standard_normal()
-        total += 4.2 / 20.0 * (sp[i] - pv[i])
-        co[i] = 4.2 * (sp[i] - pv[i]) + total
-    path = folder / "tight.csv"
-    np.savetxt(path, np.column_stack([np.arange(n), sp, pv, co]), delimiter=",", header="t,sp,pv,co", comments="")
-    return path
+    noise = 0.02 * rng.standard_normal(n)
+    return written(folder / "tight.csv", pi_loop(PidGains(4.2, 0.21), Lag(20.0, 4), sp, noise, drift))
 
 
 def decisions(window: Window, gains: PidGains, rows: int) -> Iterator[Decision]:

@@ -7,6 +7,7 @@ from typing import cast
 import numpy as np
 import pytest
 from command_line import answer, refused
+from pi_loop import Lag, pi_loop, written
 
 import retuner
 from retuner.adaptive.schedule_choice.borders_of_two_variables import Cells
@@ -51,19 +52,8 @@ steps = [{ at_s = 0.0, sp = 30.0 }]
 
 def level(path: Path, n: int = 600) -> Path:
     """A first-order process in a loop with PI control, four setpoint steps."""
-    rng = np.random.default_rng(3)
-    y = integral = 30.0
-    past = [y] * 4
-    rows = ["t,sp,pv,co"]
-    for i in range(n):
-        sp = (30.0, 45.0, 60.0, 40.0)[4 * i // n]
-        pv = y + rng.normal(0.0, 0.1)
-        integral += 0.06 * (sp - pv)
-        past.append(1.2 * (sp - pv) + integral)
-        y += (past[-5] - y) / 20
-        rows.append(f"{i},{sp},{pv:.4f},{past[-1]:.4f}")
-    path.write_text("\n".join(rows) + "\n")
-    return path
+    sp, noise = np.array([30.0, 45.0, 60.0, 40.0])[4 * np.arange(n) // n], 0.1 * np.random.default_rng(3).normal(size=n)
+    return written(path, pi_loop(PidGains(1.2, 0.06), Lag(20.0, 4, at=30.0), sp, noise, co0=30.0))
 
 
 @pytest.mark.slow

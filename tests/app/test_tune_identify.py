@@ -9,6 +9,7 @@ import command_line
 import numpy as np
 import pytest
 from command_line import printed, refused
+from pi_loop import Lag, pi_loop, written
 
 import retuner
 from retuner import PidController, PidGains, ProcessModel, ProcessType, identify, tune
@@ -66,16 +67,8 @@ def write(path: Path, **columns: np.ndarray) -> Path:
 
 def closed_loop(path: Path, noise: float = 0.01, names: tuple[str, ...] = ("t", "sp", "pv", "co")) -> Path:
     """PI with Kc 2, tau_I 20 s on a lag of 20 s with gain 1, sampled every second, one setpoint step."""
-    rng = np.random.default_rng(1)
-    n = 300
-    sp, pv, co = (np.arange(n) >= 60) * 1.0, np.zeros(n), np.zeros(n)
-    x = integral = 0.0
-    for i in range(n):
-        pv[i] = x + noise * rng.standard_normal()
-        integral += 2 / 20 * (sp[i] - pv[i])
-        co[i] = 2 * (sp[i] - pv[i]) + integral
-        x += (1 - np.exp(-1 / 20)) * ((co[i - 3] if i >= 3 else 0.0) - x)
-    return write(path, **dict(zip(names, (np.arange(n) * 1.0, sp, pv, co), strict=True)))
+    sp, white = (np.arange(300) >= 60) * 1.0, np.random.default_rng(1).standard_normal(300)
+    return written(path, pi_loop(PidGains(2.0, 0.1), Lag(20.0, 3), sp, noise * white), names)
 
 
 def test_identify_in_closed_loop_with_renamed_columns_and_gains_in_force(tmp_path: Path) -> None:

@@ -1,13 +1,14 @@
 """What every look at a record that may name a cause must do: find its own, leave the others alone, ask no units."""
 
-import math
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from pi_loop import Lag, pi_loop
 
 from retuner.adaptive.diagnosis.cause import Diagnosis
 from retuner.adaptive.signals.sample import Window
+from retuner.schedule.gains import PidGains
 
 Look = Callable[[Window], Diagnosis | None]
 UNITS = ((1.0, 1.0, 60.0), (0.01, 1.0, 1.0), (37.0, 0.16, 0.2), (1e4, 41.0, 3600.0))
@@ -16,17 +17,10 @@ UNITS = ((1.0, 1.0, 60.0), (0.01, 1.0, 1.0), (37.0, 0.16, 0.2), (1e4, 41.0, 3600
 
 def loop(kc: float, tau_i_s: float, seed: int, *, noise: float = 0.05, load: float = 0.0, hours: float = 1.0) -> Window:
     """A PI loop round a lag of 30 s with a dead time of 6 s at one sample a second: setpoint steps, perhaps a load."""
-    rng = np.random.default_rng(seed)
-    n = int(3600 * hours)
-    sp = 50.0 + 5.0 * (np.arange(n) // 600 % 2)
-    pv, co, y, part, late = np.empty(n), np.empty(n), 50.0, 50.0, [50.0] * 6
-    for i in range(n):
-        pv[i] = y + rng.normal(0.0, noise)
-        part += kc / tau_i_s * (sp[i] - pv[i])
-        co[i] = kc * (sp[i] - pv[i]) + part
-        late.append(co[i])
-        y += (late.pop(0) + load * math.sin(i / 15.0) - y) / 30.0
-    return Window(np.arange(n, dtype=float), sp, pv, co)
+    i = np.arange(int(3600 * hours))
+    white, process = np.random.default_rng(seed).normal(size=len(i)), Lag(30.0, 6, at=50.0)
+    loads = load * np.sin(i / 15.0)
+    return pi_loop(PidGains(kc, kc / tau_i_s), process, 50.0 + 5.0 * (i // 600 % 2), noise * white, loads, co0=50.0)
 
 
 def others() -> list[Window]:

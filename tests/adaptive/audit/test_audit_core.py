@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pi_loop import Lag, pi_loop
 
 from retuner.adaptive.audit.common_swing import Swinging, common_swings
 from retuner.adaptive.audit.lasting_swing import lasting_swing
@@ -27,6 +28,7 @@ from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.fit import engine
 from retuner.adaptive.indexes.condition import Condition
 from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.schedule.gains import PidGains
 
 N = 4000
 T = np.arange(N) * 10.0
@@ -166,16 +168,10 @@ def test_loops_of_one_period_swing_together_and_the_valve_is_the_root() -> None:
 
 def loop_with_loads(gain: float, setpoint: np.ndarray | None = None) -> Window:
     """First order, lag 10 and dead time 3 samples, PI with `gain` times its kc, a load step each 500 samples."""
-    n, a, x, integral = 4_000, math.exp(-0.1), 0.0, 0.0
+    n = 4_000
     sp = np.zeros(n) if setpoint is None else setpoint
-    pv, co, noise = np.zeros(n), np.zeros(n), 0.01 * RNG.normal(size=n)
-    for i in range(n):
-        sent = co[i - 3] if i > 2 else 0.0
-        x = a * x + (1 - a) * (sent + (i // 500) % 2)
-        pv[i] = x + noise[i]
-        integral += gain * 1.5 / 10 * (sp[i] - pv[i])
-        co[i] = gain * 1.5 * (sp[i] - pv[i]) + integral
-    return Window(10.0 * np.arange(n), sp, pv, co)
+    noise, load = 0.01 * RNG.normal(size=n), np.arange(n) // 500 % 2
+    return pi_loop(PidGains(1.5 * gain, 0.015 * gain), Lag(10.0, 2), sp, noise, load, dt=10.0)
 
 
 def test_the_idle_index_tells_a_controller_that_waits_from_one_that_acts() -> None:

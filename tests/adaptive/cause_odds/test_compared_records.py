@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from pi_loop import Lag, pi_loop
 
 from retuner.adaptive.cause_odds.odds import diagnose_records
 from retuner.adaptive.diagnosis.cause import Cause
@@ -24,14 +25,7 @@ def swung(gains: PidGains, seed: int) -> Window:
     for i in range(N):
         before, two = (push[i - k] if i >= k else 0.0 for k in (1, 2))
         push[i] = 2.0 * r * math.cos(w) * before - r * r * two + rng.standard_normal()
-    pole, total, y = math.exp(-1 / 20.0), 0.0, 0.0
-    pv, co = np.zeros(N), np.zeros(N)
-    for i in range(N):
-        y = pole * y + (1 - pole) * ((co[i - 5] if i > 4 else 0.0) + push[i])
-        pv[i] = y + 0.1 * rng.standard_normal()
-        total += gains.ki * (SETPOINT[i] - pv[i])
-        co[i] = gains.kp * (SETPOINT[i] - pv[i]) + total
-    return Window(np.arange(float(N)), SETPOINT, pv, co)
+    return pi_loop(gains, Lag(20.0, 4), SETPOINT, 0.1 * rng.standard_normal(N), push)
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from pi_loop import Lag, pi_loop
 
 from retuner.adaptive.cause_odds import odds
 from retuner.adaptive.cause_odds.compared_records import windows_of
@@ -43,14 +44,7 @@ def loop(
     rng = np.random.default_rng(seed)
     drift, noise = np.cumsum(rng.standard_normal(n)) * 0.1 + ramp * np.arange(n), 0.02 * rng.standard_normal(n)
     sp = np.where((np.arange(n) > n // 4) & (np.arange(n) < n // 2), step, 0.0)
-    pole, total, y = math.exp(-1 / 20.0), 0.0, 0.0
-    pv, co = np.zeros(n), np.zeros(n)
-    for i in range(n):
-        y = pole * y + (1 - pole) * ((sign * co[i - 5] if i > 4 else 0.0) + drift[i])
-        pv[i] = y + noise[i]
-        total += sign * kc / 20.0 * (sp[i] - pv[i])
-        co[i] = sign * kc * (sp[i] - pv[i]) + total
-    return Window(np.arange(float(n)), sp, pv, co)
+    return pi_loop(PidGains(sign * kc, sign * kc / 20.0), Lag(20.0, 4, sign), sp, noise, sign * drift)
 
 
 def told(window: Window, kc: float = 1.0, sign: int = 1) -> Diagnosis:

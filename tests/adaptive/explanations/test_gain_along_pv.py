@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from pi_loop import Lag, pi_loop
 
 from retuner.adaptive.cause_odds.odds import diagnose_records
 from retuner.adaptive.diagnosis.cause import Cause
@@ -16,24 +17,16 @@ from retuner.schedule.gains import PidGains
 STEPS = (20.0, 24.0, 20.0, 32.0, 48.0, 52.0, 48.0, 30.0)
 
 
-def tank(ratio: float, steps: tuple[float, ...] = STEPS, hold: int = 60, kp: float = 1.0) -> Window:
+def tank(ratio: float, steps: tuple[float, ...] = STEPS, hold: int = 60) -> Window:
     """PI on a lag of 10 s with 2 s dead time, its static gain 0.5 up to pv 40 and ratio times that above."""
-    rng, n = np.random.default_rng(3), hold * len(steps)
-    sp = np.repeat(steps, hold)
+    noise, first = 0.05 * np.random.default_rng(3).standard_normal(hold * len(steps)), steps[0]
 
     def curve(u: float) -> float:
         return 0.5 * u if u < 80.0 else 40.0 + 0.5 * ratio * (u - 80.0)
 
-    first = steps[0]
     co0 = 2.0 * first if first < 40.0 else 80.0 + (first - 40.0) / (0.5 * ratio)
-    y, total, pole = first, co0, math.exp(-0.1)
-    pv, co = np.zeros(n), np.full(n, co0)
-    for i in range(n):
-        y = pole * y + (1.0 - pole) * curve(co[i - 3] if i > 2 else co0)
-        pv[i] = y + 0.05 * rng.standard_normal()
-        total += kp / 12.0 * (sp[i] - pv[i])
-        co[i] = kp * (sp[i] - pv[i]) + total
-    return Window(np.arange(float(n)), sp, pv, co)
+    process = Lag(10.0, 2, at=first)
+    return pi_loop(PidGains(1.0, 1.0 / 12.0), process, np.repeat(steps, hold), noise, co0=co0, valve=curve)
 
 
 def weighed(*windows: Window) -> GainAlongPv:

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from pi_loop import Lag, pi_loop, slipping
 
 from retuner.adaptive.explanations.jumping_load import LOADS as THAT_JUMP
 from retuner.adaptive.explanations.jumping_load import UNIQUE, whitened, with_jumps
@@ -13,6 +14,7 @@ from retuner.adaptive.explanations.wandering_load import TEMPER, Prepared, log_l
 from retuner.adaptive.fit import engine
 from retuner.adaptive.valve.plateaus import LAGS as OF_PLATEAUS
 from retuner.adaptive.valve.plateaus import steps_chosen, through_lag
+from retuner.schedule.gains import PidGains
 
 N, GAIN = 400, 1.2
 LOADS = {
@@ -27,15 +29,9 @@ def record(
     load: str, kp: float = 0.6, ki: float = 0.05, lag: float = 15.0, noise: float = 0.03, slips: float = 0.0
 ) -> Prepared:
     """PI on a lag behind a valve that slips all the way once co is so far from it, under a load at its input."""
-    rng, pv, co = np.random.default_rng(1), np.zeros(N), np.zeros(N)
-    y = total = at = 0.0
-    for i, push in enumerate(LOADS[load].tolist()):
-        pv[i] = y + noise * rng.standard_normal()
-        total -= ki * pv[i]
-        co[i] = total - kp * pv[i]
-        at = co[i] if abs(co[i] - at) > slips else at
-        y += (1.0 - math.exp(-1.0 / lag)) * (GAIN * (at + push) - y)
-    return Prepared(pv - pv[0], co - co[0], 0.0, 1.0)
+    white, valve = noise * np.random.default_rng(1).standard_normal(N), slipping(slips)
+    found = pi_loop(PidGains(kp, ki), Lag(lag, k=GAIN), np.zeros(N), white, LOADS[load], valve=valve)
+    return Prepared(found.pv - found.pv[0], found.co - found.co[0], 0.0, 1.0)
 
 
 def compared(of: Prepared) -> tuple[np.ndarray, np.ndarray]:

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from drawn_loop import PRIOR, loop_record
+from pi_loop import Lag, pi_loop, slipping
 
 from retuner.adaptive.explanations.deciding_test import deciding_test, valve_test
 from retuner.adaptive.explanations.likely_processes import WorthSettings
@@ -114,20 +115,12 @@ def test_a_loop_far_too_tight_is_calmed_where_no_set_is_sure() -> None:
 
 def record_through_valve(band: float, step: float, seed: int = 2, n: int = 700, tone: float = 0.0) -> Prepared:
     """A setpoint step out and back under a load that wanders, through a valve that stays until co is a band away."""
-    gains, rng = PidGains(1.5, 0.075), np.random.default_rng(seed)
-    load, pole = np.cumsum(rng.standard_normal(n)) * 0.05, math.exp(-1 / 10.0)
-    turned = np.cumsum(0.1 + 0.015 * np.sin(np.arange(n) / 90.0))
-    load += tone * (np.sin(turned) + 0.4 * np.sin(2.0 * turned + 1.0))
-    pv, co = np.zeros(n), np.zeros(n)
-    y = total = valve = 0.0
-    for i in range(n):
-        pv[i] = y + 0.02 * rng.standard_normal()
-        error = (step if 200 <= i < 450 else 0.0) - pv[i]
-        total += gains.ki * error
-        co[i] = gains.kp * error + total
-        valve = co[i] if abs(co[i] - valve) > band else valve
-        y = pole * y + (1 - pole) * (valve + load[i])
-    return Prepared(pv - pv[0], co - co[0], 0.0, 1.0)
+    rng, i = np.random.default_rng(seed), np.arange(n)
+    turned = np.cumsum(0.1 + 0.015 * np.sin(i / 90.0))
+    load = np.cumsum(rng.standard_normal(n)) * 0.05 + tone * (np.sin(turned) + 0.4 * np.sin(2.0 * turned + 1.0))
+    sp, noise = np.where((i >= 200) & (i < 450), step, 0.0), 0.02 * rng.standard_normal(n)
+    found = pi_loop(PidGains(1.5, 0.075), Lag(10.0), sp, noise, np.append(0.0, load[:-1]), valve=slipping(band))
+    return Prepared(found.pv - found.pv[0], found.co - found.co[0], 0.0, 1.0)
 
 
 @pytest.mark.parametrize(("band", "step"), [(0.0, 0.0), (1.5, 0.0), (0.0, 3.0), (1.3, 3.0)])

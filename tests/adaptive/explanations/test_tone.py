@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from pi_loop import Lag, pi_loop
 
 from retuner.adaptive.explanations.book import TONE, TONE_LASTS, Book, doubted, faded, heard, update
 from retuner.adaptive.explanations.process_grid import robustness
@@ -13,7 +14,6 @@ from retuner.adaptive.explanations.tone import likeliest_tone
 from retuner.adaptive.explanations.wandering_load import Prepared, log_likelihood
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.gains import PidGains
-from retuner.schedule.pid import law, start, step
 
 LAG, DEAD, N = 20.0, 4, 1000
 GOOD = PidGains(LAG / (2.0 * (DEAD + 0.5)), 0.5 / (DEAD + 0.5))
@@ -29,16 +29,8 @@ def cycle(period: float, jitter: float, n: int = N) -> FloatArray:
 
 def recorded(gains: PidGains, load: FloatArray, step_at: int = N + 1) -> Window:
     """A lag with dead time and gain one under a load. step_at : sample from which the setpoint is 4."""
-    rules = law(gains, co_min=-1e6, co_max=1e6)
-    state, rows, pv, late = start(rules, 0.0, 0.0, 0.0), [], 0.0, [0.0] * DEAD
-    noise = 0.1 * np.random.default_rng(8).normal(size=len(load))
-    for i, upset in enumerate(load.tolist()):
-        sp, seen = 4.0 if i >= step_at else 0.0, pv + float(noise[i])
-        state, co = step(rules, state, sp, seen, 1.0)
-        rows.append((float(i), sp, seen, co))
-        late.append(co + upset)
-        pv += (late.pop(0) - pv) * (1.0 - math.exp(-1.0 / LAG))
-    return Window(*np.array(rows).T)
+    noise, sp = 0.1 * np.random.default_rng(8).normal(size=len(load)), np.where(np.arange(len(load)) >= step_at, 4.0, 0)
+    return pi_loop(gains, Lag(LAG, DEAD), sp, noise, np.append(np.zeros(DEAD + 1), load)[: len(load)])
 
 
 @pytest.mark.parametrize("period", [12.0, 47.3, 450.0])
