@@ -288,16 +288,8 @@ def test_an_irregular_valve_is_called_stiction(seed: int) -> None:
 
 
 def test_a_random_walk_of_a_load_is_no_valve() -> None:
-    plant = LinearPlant(PROCESS, start_co=0.0, noise=0.01, seed=3, co_min=-1e9, co_max=1e9)
-    rules = law(GAINS, co_min=-50.0, co_max=50.0)
-    state = start(rules, 0.0, 0.0, 0.0)
-    walk = np.cumsum(0.1 * np.random.default_rng(3).standard_normal(N))
-    co, rows = 0.0, []
-    for i in range(N):
-        pv = plant.step(co, float(walk[i]), DT)
-        state, co = step(rules, state, 0.0, pv, DT)
-        rows.append((i * DT, 0.0, pv, co))
-    best = linear(Window(*np.array(rows).T), (1,), SETTINGS.fit.choice, SETTINGS.fit.most_samples)[0]
+    walk = np.cumsum(0.1 * np.random.default_rng(3).standard_normal(N)).tolist()
+    best = linear(loop(GAINS, load=lambda i: walk[i], seed=3), (1,), SETTINGS.fit.choice, SETTINGS.fit.most_samples)[0]
     found = slipping(best, 2)
     assert found is None or found.criterion > best.criterion
 
@@ -306,15 +298,7 @@ def test_one_band_needs_turns_that_confirm_it() -> None:
     """A slow triangle of a load for a round and a half is a load that ramps as well as a valve: no stiction."""
     fast = LinearProcess(1.0, (1.0,), (), 0.3)
     gains = PidGains(1.0, 1.0)
-    plant = LinearPlant(fast, start_co=0.0, noise=0.004, seed=1, co_min=-1e9, co_max=1e9)
-    rules = law(gains, co_min=-50.0, co_max=50.0)
-    state = start(rules, 0.0, 0.0, 0.0)
-    load = np.interp(np.arange(N), [0, 230, 460, N], [0.0, 12.0, 0.0, 12.0])
-    co, rows = 0.0, []
-    for i in range(N):
-        pv = plant.step(co, float(load[i]), DT)
-        state, co = step(rules, state, 0.0, pv, DT)
-        rows.append((i * DT, 0.0, pv, co))
-    told = diagnose_window(Window(*np.array(rows).T), gains)
+    load = np.interp(np.arange(N), [0, 230, 460, N], [0.0, 12.0, 0.0, 12.0]).tolist()
+    told = diagnose_window(loop(gains, load=lambda i: load[i], noise=0.004, process=fast), gains)
     assert told.diagnosis.cause != Cause.STICTION
     assert "valve_turns" in told.diagnosis.evidence

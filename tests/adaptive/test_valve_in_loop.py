@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from test_diagnose import loop
 
 from retuner.adaptive.identification.identify import Fits, FitSettings
 from retuner.adaptive.process.model import LinearProcess
@@ -9,9 +10,7 @@ from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.valve.record_through_valve import RecordThroughValve, _searched, valve_believed
 from retuner.adaptive.valve.valve_fit import Sticking
 from retuner.adaptive.valve.valve_model import Family, StuckValve
-from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.schedule.gains import PidGains
-from retuner.schedule.pid import law, start, step
 
 PROCESS = LinearProcess(2.0, (20.0,), theta_s=5.0)
 GAINS = PidGains(1.0, 0.05)
@@ -31,18 +30,11 @@ def stepped(valve: StuckValve | None, load: float = 0.0, seed: int = 1) -> Windo
 
     load : of a step that comes amid the response.
     """
-    plant = LinearPlant(PROCESS, start_co=0.0, noise=0.05, seed=seed, co_min=-1e9, co_max=1e9)
-    rules = law(GAINS, co_min=-50.0, co_max=50.0)
-    state = start(rules, 0.0, 0.0, 0.0)
-    co, cos, rows = 0.0, [0.0], []
-    for i in range(BEFORE + AFTER):
-        moved = co if valve is None else float(valve.position(np.array(cos))[-1])
-        pv = plant.step(moved, load if i > BEFORE + AFTER // 4 else 0.0, DT_S)
-        sp = -4.0 if i < BEFORE else 6.0
-        state, co = step(rules, state, sp, pv, DT_S)
-        cos.append(co)
-        rows.append((i * DT_S, sp, pv, co))
-    return Window(*np.array(rows[BEFORE - KEPT :]).T)
+    whole = loop(
+        GAINS, lambda i: -4.0 if i < BEFORE else 6.0, lambda i: load if i > BEFORE + AFTER // 4 else 0.0, valve=valve,
+        noise=0.05, seed=seed, n=BEFORE + AFTER, process=PROCESS,
+    )  # fmt: skip
+    return Window(*(x[BEFORE - KEPT :] for x in (whole.t_s, whole.sp, whole.pv, whole.co)))
 
 
 def through(window: Window, sign: int = 1) -> tuple[Fits, RecordThroughValve | None]:

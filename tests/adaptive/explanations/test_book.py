@@ -9,6 +9,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from pi_loop import Lag, pi_loop
 
 from retuner import PidController, PidGains
 from retuner.adaptive.choice.expected_cost import ChoiceNumbers
@@ -49,7 +50,6 @@ from retuner.adaptive.supervision.retuner_settings import RetunerSettings, deman
 from retuner.adaptive.trial.phase import TrialEvent
 from retuner.adaptive.trial.rollback import NOTHING_KNOWN, SetsThatRan, rollback
 from retuner.adaptive.trial.trial import Trial
-from retuner.schedule.pid import law, start, step
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable, Lookup
 
@@ -68,31 +68,16 @@ def scaled(times: float) -> PidGains:
     return PidGains(times * GOOD.kp, times * GOOD.ki)
 
 
-class Plant:
-    """A lag with dead time, a sample at a time; a negative one runs away by itself."""
-
-    def __init__(self, lag: float = LAG) -> None:
-        self.pv, self.late, self.lag = 0.0, [0.0] * DEAD, lag
-
-    def move(self, u: float) -> float:
-        self.late.append(u)
-        k = math.copysign(K, self.lag)
-        self.pv += (k * self.late.pop(0) - self.pv) * (1.0 - math.exp(-1.0 / self.lag))
-        return self.pv
-
-
 def recorded(gains: PidGains, seed: int, n: int = 1000, lag: float = LAG, height: float = 4.0) -> Window:
     """A loop under a load that wanders, with one setpoint step."""
     load, noise = walk(seed, n), np.random.default_rng([seed, 1]).normal(size=n) * 0.05
-    rules = law(gains, co_min=-1e6, co_max=1e6)
-    state, plant, pv = start(rules, 0.0, 0.0, 0.0), Plant(lag), 0.0
-    rows = []
-    for i in range(n):
-        sp, seen = (0.0 if i < n // 3 else height), pv + float(noise[i])
-        state, co = step(rules, state, sp, seen, 1.0)
-        rows.append((float(i), sp, seen, co))
-        pv = plant.move(co + float(load[i]))
-    return Window(*np.array(rows).T)
+    sp, late = np.where(np.arange(n) < n // 3, 0.0, height), np.append(np.zeros(DEAD + 1), load)[:n]
+    return pi_loop(gains, plant(lag), sp, noise, late)
+
+
+def plant(lag: float = LAG) -> Lag:
+    """A lag with dead time; a negative one runs away by itself."""
+    return Lag(lag, DEAD, math.copysign(K, lag))
 
 
 def begun(gains: PidGains = GOOD) -> Book:
@@ -260,16 +245,10 @@ def test_a_dead_time_of_many_samples_is_told(kc: float, *, tight: bool) -> None:
     """Lag 37, dead time 75, sampled each second: of a loop at Ms 5.0 it was said that it has room with 50 %."""
     gains = PidGains(kc, kc / 37.0)
     book, noise = begun(gains), np.random.default_rng(2).normal(size=(2, 2000)) * 0.05
-    load, rules = np.cumsum(noise[0]) / 2.0, law(gains, co_min=-1e6, co_max=1e6)
-    state, plant, rows, pv = start(rules, 0.0, 0.0, 0.0), Plant(37.0), [], 0.0
-    plant.late = [0.0] * 75
-    for i in range(2000):
-        sp, seen = 2.0 * (i % 1000 >= 333), pv + float(noise[1, i])
-        state, co = step(rules, state, sp, seen, 1.0)
-        rows.append((float(i), sp, seen, co))
-        pv = plant.move((co + float(load[i])) / K)
-    for half in (rows[:1000], rows[1000:]):
-        book = update(book, Window(*np.array(half).T))
+    load, sp = np.append(np.zeros(76), np.cumsum(noise[0]) / 2.0)[:2000], 2.0 * (np.arange(2000) % 1000 >= 333)
+    whole = pi_loop(gains, Lag(37.0, 75), sp, noise[1], load)
+    for half in (slice(1000), slice(1000, 2000)):
+        book = update(book, Window(whole.t_s[half], sp[half], whole.pv[half], whole.co[half]))
     told = by_book(book, gains, SETTINGS).numbers
     assert (told.book_high > SETTINGS.less_odds) is tight
     assert told.book_room < 0.3
@@ -383,12 +362,12 @@ def watched(
     after each 1,000 samples, to and fro.
     """
     load, noise = walk(seed, n) * 2.0, np.random.default_rng([seed, 1]).normal(size=n) * 0.05
-    plant, pv, told = Plant(), 50.0, []
+    process, pv, told = plant(), 50.0, []
     for i in range(n):
         co = pid.step(50.0 + step * (i // 1000 % 2), pv + float(noise[i]))
         if pid.decision is not None:
             told.append(pid.decision.canonical())
-        pv = 50.0 + plant.move(co + float(load[i]))
+        pv = 50.0 + process(co + float(load[i]), 0.0)
         if i + 1 == memory_at:
             from retuner.adaptive.supervision.state_file import remember, restore
 
