@@ -39,6 +39,7 @@ from online import batch, changes, harm, injected
 from online.judge import Judge, Judgement
 from online.loop import WatchedLoop, Watching, one_region, settings
 from online.runner import Task
+from online.session import PV_SPAN
 
 from retuner import PidGains, identify
 from retuner.diagnosing import diagnose
@@ -127,7 +128,7 @@ def online(name: str) -> Answer:
     judge = NotingJudge(task)
     kc, tau_i = task.start
     first = PidGains(judge.best.kp * kc, judge.best.ki * kc / tau_i)
-    watching = Watching(one_region(first), settings(judge.dt_s, batch.PV_SPAN, opened=task.opened))
+    watching = Watching(one_region(first), settings(judge.dt_s, PV_SPAN, opened=task.opened))
     loop = WatchedLoop(HeldPlant(task.member.process, judge.dt_s), watching.retuner.table, judge.dt_s, watching)
     judged = batch.disturbed(loop, judge, task, [])
     after = [

@@ -7,32 +7,28 @@ an eighth of the effective dead time apart, disturbances 60 effective dead times
 
 import math
 import zlib
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from cases.case import share
-from cases.plant import HeldPlant
 
 from online.judge import Judge, Judgement
-from online.loop import LostLoop, Supervisor, WatchedLoop, Watching, guard_settings, one_region, settings
+from online.loop import LostLoop, WatchedLoop, guard_settings
 from online.rivals import Member, batch
 from online.session import (
     LENGTH_THETA,
     LOST,
     NOISE,
-    PV_SPAN,
     REST_SAMPLES,
     SAMPLES_PER_THETA,
     STARTS,
     Row,
+    Session,
     faults,
     in_words,
     noise_of,
-    told,
 )
 from retuner.adaptive.guard.step_size import Parameter, step_limit
-from retuner.adaptive.supervision.decision import Decision
 from retuner.schedule.gains import PidGains
 
 DISTURBANCES = 6
@@ -73,47 +69,22 @@ def tasks(
     return [task for task in found if task.member.name.startswith(only)][offset::every]
 
 
-Line = Callable[[Watching, "Task", float], Supervisor]
-"""Through what a watcher hears of its loop, sampled every so many seconds."""
-
-
-def run(task: Task, line: Line | None = None) -> Row:
+def run(task: Task) -> Row:
     """One run; keys spec, ms, j (a value a disturbance), changes, and where verbose the story."""
     dt_s = Judge.theta(task.member.process) / SAMPLES_PER_THETA
     judge = Judge(task.member.process, dt_s)
     kc, tau_i = task.start
     gains = PidGains(judge.best.kp * kc, judge.best.ki * kc / tau_i)
-    story: list[str] = []
-
-    # writes down each decision in one line
-    def tell(decision: Decision) -> None:
-        story.append("   " + told(decision, judge))
-
-    watching = Watching(one_region(gains), settings(dt_s, PV_SPAN, opened=task.opened), tell)
-    hears = line(watching, task, dt_s) if line else watching
-    loop = WatchedLoop(HeldPlant(task.member.process, dt_s), watching.retuner.table, dt_s, hears)
-    judged = disturbed(loop, judge, task, story)
-    first = judge.of(gains)
+    session = Session(task, judge, gains)
+    judged, now = disturbed(session.loop, judge, task, session.story), session.loop.gains
     return {
-        "part": "batch",
-        "process": task.member.name,
-        "family": task.member.family,
-        "kc": kc,
-        "tau_i": tau_i,
-        "seed": task.seed,
-        "opened": task.opened,
-        "changes": loop.changes,
-        "ms0": first.ms,
-        "j0": first.j,
-        "ms_limit": judge.ms_limit,
-        "reach": reaches(judge, gains, opened=task.opened),
-        "spec": [found.in_spec for found in judged],
-        "ms": [found.ms for found in judged],
-        "j": [found.j for found in judged],
-        "kc_now": loop.gains.kp / judge.best.kp,
-        "ki_now": loop.gains.ki / judge.best.ki,
-        "story": story if task.verbose else [],
-    }
+        "part": "batch", "process": task.member.name, "family": task.member.family, "kc": kc, "tau_i": tau_i,
+        "seed": task.seed, "opened": task.opened, "changes": session.loop.changes, "ms0": session.first.ms,
+        "j0": session.first.j, "ms_limit": judge.ms_limit, "reach": reaches(judge, gains, opened=task.opened),
+        "spec": [found.in_spec for found in judged], "ms": [found.ms for found in judged],
+        "j": [found.j for found in judged], "kc_now": now.kp / judge.best.kp, "ki_now": now.ki / judge.best.ki,
+        "story": session.story if task.verbose else [],
+    }  # fmt: skip
 
 
 def disturbed(loop: WatchedLoop, judge: Judge, task: Task, story: list[str]) -> list[Judgement]:

@@ -19,7 +19,7 @@ from online import batch
 from online.judge import Judge, Judgement
 from online.loop import WatchedLoop, one_region, settings
 from online.rivals import PatternAlone, relay_then_ziegler_nichols, step_then_simc
-from online.session import LOST, Row
+from online.session import LOST, PV_SPAN, Row
 from retuner.schedule.gains import PidGains
 
 PRINTED = PidGains(1.0, 0.1, 0.05)
@@ -113,7 +113,7 @@ def run(task: batch.Task) -> Row:
         "step": step_then_simc(HeldPlant(process, dt_s), process, judge.theta_s, dt_s, task.noise, rng),
     }
     judged = {who: LOST if x is None else judge.of(x) for who, x in found.items()}
-    pattern = PatternAlone(one_region(gains), settings(dt_s, batch.PV_SPAN))
+    pattern = PatternAlone(one_region(gains), settings(dt_s, PV_SPAN))
     loop = WatchedLoop(HeldPlant(process, dt_s), pattern.table, dt_s, pattern)
     judged["pattern"] = batch.disturbed(loop, judge, task, [])[-1]
     ours = batch.run(task)

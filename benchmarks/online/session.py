@@ -77,7 +77,7 @@ def effects(judge: Judge, watching: Watching) -> list[Effect]:
 class Session:
     """One loop with retuner in charge, from rest. plant : of the judge's process where none is given. watching : where
     it is not retuner alone. loop : as WatchedLoop takes it. judged : after each upset. story : what was decided and
-    what was true then, a line each.
+    what was true then, a line each. task : of the batch its own, which has no row() here.
     """
 
     def __init__(
