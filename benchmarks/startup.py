@@ -53,11 +53,11 @@ def cases(record: Path) -> dict[str, list[str]]:
     }
 
 
-def write_record(path: Path, samples: int = 1000) -> None:
+def write_record(path: Path) -> None:
     """A PI loop round a lag of 10 s with gain 0.8 and a dead time of 3 s, with noise."""
     rng, late, y, co_integral = random.Random(2), deque([50.0] * 30), 50.0, 50.0
     rows = ["t,sp,pv,co"]
-    for i in range(samples):
+    for i in range(1000):
         sp = 50.0 if i < 100 else 60.0 if i < 550 else 55.0
         pv = y + rng.gauss(0.0, 0.05)
         co_integral += KC * (sp - pv) * DT_S / TAU_I_S

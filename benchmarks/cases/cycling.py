@@ -117,7 +117,6 @@ def tone_record(
     ratio: float,
     *,
     jitter: float = 0.0,
-    events: bool | None = None,
     quantum: float = 0.0,
 ) -> tuple[Loop, Record, dict[str, float]]:
     """An outside oscillation with a period of `ratio` times the loop's own, in the load or on pv."""
@@ -130,7 +129,7 @@ def tone_record(
     load, out = (wave, zero) if inside else (zero, wave)
     swing = float(np.ptp(run(loop.process, Controller(gains), loop.dt_s, Upsets(zero, load, out)).pv[lead_in:]))
     sp = zero
-    if rng.uniform() < 0.4 if events is None else events:
+    if rng.uniform() < 0.4:
         sp = event_steps(rng, n + lead_in, lead_in + float(rng.uniform(0.1, 0.4)) * n, int(rng.integers(1, 4)))
         sp = sp * swing * log_uniform(rng, 0.5, 3.0)
     plan = Plan(sp, load, out, log_uniform(rng, 0.005, 0.05), lead_in, quantum=quantum)

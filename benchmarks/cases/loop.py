@@ -90,22 +90,13 @@ def run(
     return Record(np.arange(n)[due] * h_s, np.asarray(sp)[due], pvs[due], cos[due])
 
 
-def run_manual(
-    process: LinearProcess,
-    h_s: float,
-    co: FloatArray,
-    upsets: Upsets,
-    *,
-    pv0: float = 0.0,
-    sensor: Sensor | None = None,
-) -> Record:
+def run_manual(process: LinearProcess, h_s: float, co: FloatArray, upsets: Upsets, *, pv0: float = 0.0) -> Record:
     """The process alone under a given output, from rest."""
     sp, load, out, noise = upsets.filled()
     plant = HeldPlant(process, h_s)
     pvs, y = np.zeros(len(sp)), 0.0
     for i in range(len(sp)):
-        pv = pv0 + y + out[i] + noise[i]
-        pvs[i] = sensor(pv) if sensor else pv
+        pvs[i] = pv0 + y + out[i] + noise[i]
         y = plant.move(float(co[i] - co[0]) + load[i])
     return Record(np.arange(len(sp)) * h_s, np.asarray(sp), pvs, co)
 

@@ -65,11 +65,11 @@ class Judge:
             self._known[gains] = Judgement(ms, j, ms <= self.ms_limit and j <= J_LIMIT)
         return self._known[gains]
 
-    def load_like_setpoint(self, gains: PidGains | None = None) -> float:
-        """Size of the load step that moves pv by one under SIMC with perfect knowledge, or other gains."""
+    def load_like_setpoint(self) -> float:
+        """Size of the load step that moves pv by one under SIMC with perfect knowledge."""
         # largest |pv| after a unit step in the load
         n = self._steps(self.best)
-        record = run(self.process, Controller(gains or self.best), self.dt_s, Upsets(np.zeros(n), load=np.ones(n)))
+        record = run(self.process, Controller(self.best), self.dt_s, Upsets(np.zeros(n), load=np.ones(n)))
         return 1.0 / float(np.max(np.abs(record.pv)))
 
     def _steps(self, gains: PidGains) -> int:

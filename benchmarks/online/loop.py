@@ -170,9 +170,9 @@ def settings(dt_s: float, pv_span: float, *, opened: bool = False) -> RetunerSet
     return RetunerSettings(dt_s, pv_span, Mode.AUTO, guard=guard_settings(opened=opened))
 
 
-def one_region(gains: PidGains, reach: float = 1e6) -> GainTable:
+def one_region(gains: PidGains) -> GainTable:
     """A table with a single set."""
-    return GainTable("loop", Regions("sp", "-", ("all",), -reach, (), reach), (gains,))
+    return GainTable("loop", Regions("sp", "-", ("all",), -1e6, (), 1e6), (gains,))
 
 
 class Watching:

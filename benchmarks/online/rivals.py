@@ -33,14 +33,14 @@ STEP_LAGS, STEP_THETA, MOST_THETA = 5.0, 10.0, 60.0
 
 
 def relay_then_ziegler_nichols(
-    plant: Moved, process: LinearProcess, dt_s: float, noise: float, rng: np.random.Generator, size: float = 1.0
+    plant: Moved, process: LinearProcess, dt_s: float, noise: float, rng: np.random.Generator
 ) -> PidGains | None:
     """PI settings from a relay experiment on the plant, whose linearisation here is `process`; None when it fails.
 
-    size : amplitude of pv's swing, noise : standard deviation, pv units.
+    noise : standard deviation, of a swing of pv by one.
     """
     ku, pu = ultimate(process)
-    d = size * math.pi / 4 * abs(ku)
+    d = math.pi / 4 * abs(ku)
     n = int((WAVES * pu + 2 * process.theta_s) / dt_s)
     hysteresis = HYSTERESIS_STD * noise
     y, on, pvs, cos = 0.0, 1.0, [], []
