@@ -133,6 +133,14 @@ def test_a_write_that_loses_the_lease_half_way_ends_on_the_old_set(bench) -> Non
     assert bench.device.running.gains == bench.FIRST
 
 
+def test_what_is_staged_under_a_lease_goes_with_it() -> None:
+    dev = device()
+    say(dev, *stage(1, SECOND))
+    assert dev.pages.has_staged
+    take_lease(dev, samples=0, counter=2)
+    assert not dev.pages.has_staged
+
+
 def test_a_command_waits_for_the_lease(bench) -> None:
     bench.device.lease.boot()
     bench.host.send_setpoint(60.0, bench.now_s)

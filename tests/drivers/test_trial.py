@@ -1,10 +1,11 @@
 """A committed set is on trial until it is confirmed: reverted in time, stored only afterwards, without a bump."""
 
 import pytest
-from speaking import FIRST, SECOND, device, step, write
+from speaking import FIRST, SECOND, acks, commit, device, say, step, write
 
 from retuner.drivers.device import CommandDone, Reverted, WriteRefusedError
 from retuner.drivers.host.lease_and_commands import Probation
+from retuner.drivers.protocol.frames import Reason
 
 
 def test_going_back_is_without_a_bump() -> None:
@@ -17,6 +18,15 @@ def test_going_back_is_without_a_bump() -> None:
         step(dev)
         assert abs(dev.co - before) < 1e-6  # at rest co stays where it is through both swaps
     assert dev.running.gains == FIRST
+
+
+def test_a_set_that_was_taken_back_is_not_said_to_run_when_its_commit_comes_again() -> None:
+    dev = device(trial_samples=2)
+    write(dev, 1, SECOND, 0)
+    step(dev)
+    step(dev)
+    assert dev.running.gains == FIRST
+    assert acks(say(dev, commit(1, SECOND))) == [Reason.STALE]
 
 
 def test_a_host_confirms_what_it_has_seen_running(make_bench) -> None:
