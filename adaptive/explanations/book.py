@@ -37,6 +37,7 @@ import numpy.typing as npt
 
 from retuner.adaptive.explanations.any_load import T_ANSWERS, log_likelihood_of_answers
 from retuner.adaptive.explanations.likely_processes import LikelyProcesses
+from retuner.adaptive.explanations.load_steps import apart, lead_of_steps
 from retuner.adaptive.explanations.process_grid import (
     DEAD_TIMES,
     EVERY_LAG,
@@ -54,6 +55,7 @@ from retuner.adaptive.explanations.process_grid import (
 from retuner.adaptive.explanations.tone import tone_of
 from retuner.adaptive.explanations.wandering_load import (
     ORDERS,
+    T_LOADS,
     T_SETPOINT,
     TEMPER,
     Prepared,
@@ -63,6 +65,7 @@ from retuner.adaptive.explanations.wandering_load import (
     temper,
 )
 from retuner.adaptive.identification.candidate import MODEL_ERROR
+from retuner.adaptive.identification.estimate import ModelEstimate
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
@@ -70,8 +73,8 @@ from retuner.schedule.late_dataclass import dataclass, replace
 STEP, DEEPEST = 0.05, 255
 """Levels of the logarithms that are kept, and the one of what is left out: no loop at work comes from there."""
 WEIGHT_AT = np.append(np.exp(-STEP * np.arange(DEEPEST)), 0.0)  # of each level
-ODD, FEWEST_SAMPLES = 0.02, 30
-"""Probability that a window says nothing of the process; samples of one that may say something."""
+ODD, FEWEST_SAMPLES, FEWEST_ROWS = 0.02, 30, 16
+"""Probability that a window says nothing of the process; samples of one, and of a response, that may say something."""
 OF_ANY = 0.5  # weight of a load of any spectrum, beside one that wanders, in what answers to the setpoint say; 0 to 1
 TONE, TONE_LASTS = 0.3, 20000
 """Probability of a tone before any record (3 loops of 10 oscillate: Bialkowski 1993), and samples that it lasts."""
@@ -134,7 +137,8 @@ class Book:
 
     def under(self, gains: PidGains) -> "Book":
         """The book under these gains: a process that they make possible is no longer left out. Where they act more than
-        the first ones, it is as likely as before any record; where less, it comes with a change of the process.
+        the first ones, it is as likely as before any record; where less, the process must have changed, so it has the
+        least odds that are kept.
         """
         before = _array(self.prior)[0] != DEEPEST
         now = np.concatenate(_possible(gains, self.dt_s, self.unit))
@@ -143,7 +147,9 @@ class Book:
         prior = _prior(*np.split(now | before, [len(shapes())]))
         book, fresh = replace(self, prior=prior), _weights(prior).copy()
         if gain_unit(gains, self.dt_s) <= self.unit:
-            return book
+            least = (np.where(now & ~before, DEEPEST - 1, _array(known)) for known in (self.levels, self.whole))
+            levels, whole = (one.astype(np.uint8).tobytes() for one in least)
+            return replace(book, levels=levels, whole=whole)
         fresh[:, before] = 0.0
         enters = float(fresh[:WEIGHED].sum())
         levels, whole = (_mixed(_weights(known), fresh, enters) for known in (self.levels, self.whole))
@@ -271,8 +277,7 @@ def update(
         found = np.array([power * alone, power * beside, by_all, answers, *(power * one[kept] for one in orders)])
         of_orders = _odds_of_orders(of_orders, logs[ANSWERS + 1 :], found[ANSWERS + 1 :])
         for one in WHOLE:
-            part = np.exp(found[one] - float(np.max(found[one])))
-            logs[one] += np.log((1.0 - ODD) * part + ODD * float(np.mean(part)))
+            logs[one] += _told(found[one])
         levels = _levels(logs, kept)
     moved = min(known.moved_before + share, 1.0)
     if grows:
@@ -280,6 +285,12 @@ def update(
     entered = replace(known, t_s=last_s, records=book.records + bool(says), tone_s=tone_s)
     entered = replace(entered, orders=of_orders, orders_before=of_orders)
     return replace(entered, levels=levels, whole=levels, moved=moved, moved_before=moved)
+
+
+def _told(logs: FloatArray) -> FloatArray:
+    """ln of what a window tells of each process, which it may be an odd one, that tells nothing of."""
+    part = np.exp(logs - float(np.max(logs)))
+    return np.asarray(np.log((1.0 - ODD) * part + ODD * float(np.mean(part))))
 
 
 def _odds_of_orders(before: tuple[float, ...], logs: FloatArray, found: FloatArray) -> tuple[float, ...]:
@@ -332,6 +343,32 @@ def heard(book: Book, sure: float, *, tone: bool) -> Book:
     more = np.array([0.0, lead if tone else -lead, *[0.0] * (PLANES[0] - WEIGHED)])[:, None]
     levels, whole = (_levels(logs + more, kept) for logs, kept in (_logs(book.levels), _logs(book.whole)))
     return replace(book, levels=levels, whole=whole)
+
+
+def with_response(book: Book, window: Window, estimate: ModelEstimate) -> Book:
+    """The book with the fit of a response: loads are steps (load_steps.py), as likely before it as one that wanders.
+
+    Where a load wanders, nothing is added; where steps explain the response better, that stands for the process.
+    """
+    record, n = Prepared.at(window, book.dt_s), len(window.pv)
+    if len(record.pv) < FEWEST_ROWS:
+        return book
+    kept, no_tones = _array(book.levels)[0] != DEEPEST, np.zeros((0, len(record.pv)))
+    (walk,), orders = log_likelihoods(record, book.direction, book.unit, no_tones, (0,), EVERY_LAG, kept)
+    left = (1.0 - estimate.explained) * record.size * len(record.pv) / n
+    lead = lead_of_steps(left, len(estimate.load_times_s), n, record, walk)
+    if lead <= 0.0:
+        return book
+    by_steps = lead / T_LOADS - apart(estimate.best.log, T_LOADS, book.unit, book.dt_s)[kept] / 2.0
+    best, under = float(np.max(walk)), {0: walk, BY_ALL: walk} | {ANSWERS + 1 + i: one for i, one in enumerate(orders)}
+    both = []
+    for logs, _ in (_logs(book.levels), _logs(book.whole)):
+        for plane, one in under.items():
+            entered = _told(TEMPER / T_LOADS * (one[kept] - best))
+            either = np.logaddexp(entered, by_steps)
+            logs[plane] += _told(either) + float(np.max(either)) - entered  # beside a tone nothing is added
+        both.append(_levels(logs, kept))
+    return replace(book, levels=both[0], whole=both[1])
 
 
 def _beside_a_tone(weights: FloatArray, told: float) -> FloatArray:

@@ -24,8 +24,9 @@ from retuner.adaptive.choice.expected_cost import ChoiceNumbers, percent
 from retuner.adaptive.decision_numbers import NO_NUMBERS, Basis
 from retuner.adaptive.diagnosis.cause import MOST, Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
-from retuner.adaptive.explanations.book import MOST_ROOM, MS_OF_ROOM, ODD, Book, doubted, heard, update
+from retuner.adaptive.explanations.book import MOST_ROOM, MS_OF_ROOM, ODD, Book, doubted, heard, update, with_response
 from retuner.adaptive.explanations.likely_processes import cost_on, costs
+from retuner.adaptive.explanations.load_steps import lead_of_steps
 from retuner.adaptive.explanations.process_grid import EVERY_LAG
 from retuner.adaptive.explanations.settings_by_book import (
     MS_SHOWN,
@@ -40,7 +41,7 @@ from retuner.adaptive.explanations.settings_by_book import (
     worth_of,
 )
 from retuner.adaptive.explanations.tone import tone_of
-from retuner.adaptive.explanations.wandering_load import TEMPER, Prepared, lead_of_steps, log_likelihoods
+from retuner.adaptive.explanations.wandering_load import TEMPER, Prepared, log_likelihoods
 from retuner.adaptive.guard import Proof, prove
 from retuner.adaptive.guard.request import Evidence
 from retuner.adaptive.identification.plausible import Plausible
@@ -197,6 +198,9 @@ def all_samples(found: Findings, own: Outcome) -> AllSamples:
         for window, swings in zip(windows, look.swings or (False,) * len(windows), strict=True):
             grows = look.grows and window is look.window
             book = update(book, window, hazard_s=settings.hazard_s, grows=grows, swings=swings)
+    learned, other = found.learned, record.crossed or found.joined  # not of this region, or not of one response
+    if book is not None and learned and not other and (look is not None or own.changes):
+        book = with_response(book, record.window, learned.estimate) if learned.estimate.identifiable else book
     external = own.diagnosis is not None and own.diagnosis.cause is Cause.EXTERNAL  # else a swing of the loop's own
     if book is not None and (external or (found.foreign is not None and found.foreign < record.foreign)):
         book = heard(book, MOST[Cause.EXTERNAL], tone=external)

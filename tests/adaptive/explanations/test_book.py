@@ -625,7 +625,7 @@ def put_to_the_book(
     )
     verdict: Any = SimpleNamespace(accepted=True, gains=scaled(to * times))
     model: Any = SimpleNamespace(identifiable=settled, plausible=())
-    estimate = SimpleNamespace(explained=explained, load_times_s=())
+    estimate = SimpleNamespace(explained=explained, load_times_s=(), identifiable=False)
     learned: Any = SimpleNamespace(agreement=agreement, valve=None, estimate=estimate)
     own = Outcome(code, "", diagnosis=diagnosis) if code else Outcome("accepted", "", proof=verdict)
     if expected is not None:

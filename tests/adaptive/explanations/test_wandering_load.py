@@ -31,7 +31,6 @@ from retuner.adaptive.explanations.wandering_load import (
     Prepared,
     UnderLoads,
     impulse_response,
-    lead_of_steps,
     load_models,
     log_likelihood,
     responses,
@@ -309,15 +308,3 @@ def test_a_record_whose_process_does_nothing_is_answered_by_both_engines() -> No
             found = log_likelihood(record, 1, 1.0)
         assert np.all(np.isfinite(found))
         assert np.ptp(found, axis=2) == pytest.approx(0.0, abs=1e-12)
-
-
-def test_what_steps_leave_is_priced_against_the_best_walk() -> None:
-    record = drawn_record(3)
-    n, likelihood = len(record.pv), log_likelihood(record, 1, 1.0)
-    left = float(np.var(record.pv))
-    nothing = lead_of_steps(left, 0, n, record, likelihood)
-    assert nothing < 0  # a fit that explains nothing, against one that does
-    assert nothing - lead_of_steps(left, 1, n, record, likelihood) == pytest.approx(math.log(n))
-    assert lead_of_steps(left / 2, 0, n, record, likelihood) - nothing == pytest.approx(n / 2 * math.log(2))
-    exact, fine = (lead_of_steps(share * record.resolution**2, 0, n, record, likelihood) for share in (0.0, 1.0))
-    assert exact == fine  # nothing finer than pv's resolution is believed, and that is not added to what is left
