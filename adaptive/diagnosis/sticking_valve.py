@@ -26,6 +26,7 @@ from retuner.adaptive.diagnosis.rival_fits import (
     sharper,
     tone_period_s,
 )
+from retuner.adaptive.explanations.wandering_load import block_means
 from retuner.adaptive.identification.candidate import Candidate
 from retuner.adaptive.indexes.screening import Screening
 from retuner.adaptive.signals.sample import Window, quantile
@@ -253,8 +254,8 @@ def pv_stands(
     if found is None or not (found.degree > 0.0 or found.stands or found.dead):
         return None
     record, likelier = best.fit.misfit.record, settings.standing.likelier
-    left = float(np.mean((record.pv - best.fit.at.explained) ** 2))
-    lead = found.lead_of(left, best.fit.misfit.loads)
+    left = block_means(record.pv - best.fit.at.explained, max(len(record.pv) // found.rows, 1))  # rows like those
+    lead = found.lead_of(float(np.mean(left**2)), best.fit.misfit.loads)
     left_over = min(max(CONTESTED - 2.0 * lead / likelier, 0.0), 1.0)  # 1 up to three quarters of the lead that counts
     known = lead <= likelier
     return replace(
