@@ -116,7 +116,7 @@ def _closely(side: Side, weights: Sequence[float], direction: int) -> float:
         ) -> FloatArray:
             return _told(side, weights, direction, loads, lag, seconds, dead)[:, 0]
 
-        found.append(nearest(told, replace(start, told=-math.inf), ENOUGH / TEMPER, LATEST).told)
+        found.append(nearest(told, start, ENOUGH / TEMPER, LATEST).told)
     return max(found)
 
 

@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.gains import PidGains
-from retuner.schedule.late_dataclass import dataclass
+from retuner.schedule.late_dataclass import dataclass, replace
 
 BoolArray = npt.NDArray[np.bool_]
 ComplexArray = npt.NDArray[np.complex128]
@@ -249,7 +249,7 @@ def likeliest(told: FloatArray, lag: float, seconds: Sequence[float], dead: Sequ
 
 def nearest(told: Told, start: Nearest, enough: float, latest: float) -> Nearest:
     """The process near a start of which the most is told. enough : what a step has to gain. latest : dead time."""
-    best, step = start, 1.0
+    best, step = replace(start, told=-math.inf), 1.0
     for _ in range(ROUNDS):
         before = best.told
         dead = tuple(one for one in (best.dead + step * LATER).tolist() if 0.0 <= one <= latest)

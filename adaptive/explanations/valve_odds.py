@@ -150,22 +150,25 @@ class Given:
                 of_lag.append(likeliest(each[:, i], lag, second_lags(lag), DEAD_TIMES))
         return [sorted(of_lag, key=lambda one: -one.told) for of_lag in found]
 
-    def nearest(self, row: FloatArray, starts: Sequence[Nearest], *, widely: bool = True) -> Nearest:
-        """The likeliest process between the points of the grid, near the first of starts; widely : or anywhere else."""
+    def near(self, row: FloatArray, start: Nearest) -> Nearest:
+        """The likeliest process between the points of the grid, near a start."""
+        at = self.weighed(row[None], start.lag, EVERY_LOAD, (start.dead,), seconds=(start.second,))[:, 0, 0, 0]
+        likely = [EVERY_LOAD[i] for i in np.argsort(-at, kind="stable")[:CLOSER_LOADS]]
 
         def told(lag: float, seconds: tuple[float, ...], dead: Sequence[float]) -> FloatArray:
             return np.asarray(self.weighed(row[None], lag, likely, dead, seconds=seconds)[:, :, 0].max(axis=0))
 
+        return nearest(told, start, WEIGHT / TEMPER * ENOUGH, LATEST)
+
+    def nearest(self, row: FloatArray, starts: Sequence[Nearest], known: Nearest | None = None) -> Nearest:
+        """The likeliest near the first of starts (known: that one), or near the likeliest of every dead time."""
         dense = []
-        for lag in EVERY_LAG if widely else ():
+        for lag in EVERY_LAG:
             each = self.weighed(row[None], lag, self.loads, EVERY_DEAD)[:, :, 0].max(axis=0)
             dense.append(likeliest(each, lag, second_lags(lag), EVERY_DEAD))
-        found = []
-        for start in (starts[0], *sorted(dense, key=lambda one: -one.told)[:CLOSER]):
-            at = self.weighed(row[None], start.lag, EVERY_LOAD, (start.dead,), seconds=(start.second,))[:, 0, 0, 0]
-            likely = [EVERY_LOAD[i] for i in np.argsort(-at, kind="stable")[:CLOSER_LOADS]]
-            found.append(nearest(told, replace(start, told=-math.inf), WEIGHT / TEMPER * ENOUGH, LATEST))
-        return max(found, key=lambda one: one.told)
+        likely = sorted(dense, key=lambda one: -one.told)[:CLOSER]
+        first, *others = dict.fromkeys(replace(one, told=0.0) for one in (starts[0], *likely))
+        return max(known or self.near(row, first), *(self.near(row, one) for one in others), key=lambda one: one.told)
 
     def jumping(self, row: FloatArray, walk: Nearest, tried: Sequence[Nearest]) -> float:
         """Tempered log-likelihood of an input where in one half of cases the load jumps or turns corners besides.
@@ -180,11 +183,12 @@ class Given:
 
         tried : processes behind which jumps are looked for: a walk that leaves jumps over is likeliest behind another.
         """
-        return max(self._jumps(row, one, load) for one in tried for load in JUMPING)
-
-    def _jumps(self, row: FloatArray, at: Nearest, load: tuple[float, int]) -> float:
-        moved = delayed(responses(row, at.lag, (at.second,))[0], at.dead)
-        return shocks_that_pay(self.record, at.lag, load, moved, at.second * (load[1] == BOTH))[1]
+        behind = {one: delayed(responses(row, one.lag, (one.second,))[0], one.dead) for one in dict.fromkeys(tried)}
+        return max(
+            shocks_that_pay(self.record, at.lag, load, moved, at.second * (load[1] == BOTH))[1]
+            for at, moved in behind.items()
+            for load in JUMPING
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,10 +237,12 @@ def _compared(record: Prepared, direction: int, tone: ToneColumns) -> _Compared 
     among, free = [len(which) for which, _ in moved], own[0].told
     on_grid = odds = _odds(free, [[starts[0].told for _, starts in kind] for kind in each], among)
     walk = own[0]
-    for widely in (False, True):
-        if odds > IN_QUESTION:
-            walk = given.nearest(co, own, widely=widely)
-            odds = on_grid + free - walk.told
+    if odds > IN_QUESTION:
+        walk = given.near(co, own[0])
+        odds = on_grid + free - walk.told
+    if odds > IN_QUESTION:
+        walk = given.nearest(co, own, walk)
+        odds = on_grid + free - walk.told
     if odds > IN_QUESTION:
         near = [[(row, starts, given.nearest(row, starts)) for row, starts in kind[:CLOSELY]] for kind in each]
         odds = _odds(walk.told, [[one.told for *_, one in kind] for kind in near], among)

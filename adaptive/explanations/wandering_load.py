@@ -34,6 +34,7 @@ near the unit circle, at pv's own peak) explains every tight loop away; a tone t
 has it (tone.py), the odds of a record do not.
 """
 
+import cmath
 import math
 from collections.abc import Sequence
 from functools import cache, lru_cache
@@ -42,13 +43,11 @@ import numpy as np
 
 from retuner.adaptive.explanations.process_grid import (
     DEAD_TIMES,
-    EVERY_LAG,
     GAINS,
     LAGS,
     BoolArray,
     ComplexArray,
     second_lags,
-    shapes,
     units,
 )
 from retuner.adaptive.fit.engine import compiled
@@ -71,8 +70,6 @@ process takes the place of a bandwidth that is missing."""
 BEHIND_LAGS = (*((one, VALUE) for one in FINE), *((one, SLOPE) for one in BANDWIDTHS[1:-1]))
 LOADS_OF_BOOK = (*BEHIND_LAGS, *((bandwidth, AT_PV) for bandwidth in BANDWIDTHS[1:]))
 """Loads that the book has for every process, and all that it has for those that do not run away by themselves."""
-FINITE = tuple(sorted({*FINE, *BANDWIDTHS[:-1]} - {math.inf}))
-"""All of them under which there is noise."""
 ORDERS = (VALUE, SLOPE, AT_PV)
 """As they stand in the loads of the book."""
 TEMPER = 6.0
@@ -102,49 +99,40 @@ def load_models(lag: float, bandwidths: tuple[float, ...], order: int, second: f
 
     order : of the walk.
     """
-    roots = _roots(lag, order, second)
-    found = _of_grid(len(roots)).get(roots, {})
-    if not found.keys() >= set(bandwidths):
-        found = _factored((roots,), tuple(one for one in bandwidths if math.isfinite(one)))[roots]
-    return tuple(found[bandwidth] for bandwidth in bandwidths)
+    roots = (1.0,) * (order or 1)
+    if order != AT_PV:
+        roots = (pole_of(lag), *((pole_of(second),) if second else ()), *roots)
+    return tuple(_factored(roots, bandwidth) for bandwidth in bandwidths)
 
 
-def _roots(lag: float, order: int, second: float) -> tuple[float, ...]:
-    return (1.0,) if order == AT_PV else (pole_of(lag), *((pole_of(second),) if second else ()), *(1.0,) * order)
-
-
-@cache
-def _of_grid(degree: int) -> dict[tuple[float, ...], dict[float, LoadModel]]:
-    """Those of every process of the grid whose A has this degree."""
-    asked = ((one.lag, order, one.second * (order == VALUE)) for one in shapes(EVERY_LAG) for order in ORDERS)
-    return _factored(tuple({roots: None for one in asked if len(roots := _roots(*one)) == degree}), FINITE)
-
-
-def _factored(
-    each: tuple[tuple[float, ...], ...], bandwidths: tuple[float, ...]
-) -> dict[tuple[float, ...], dict[float, LoadModel]]:
-    """Load models for roots each, of one number, by bandwidth: their polynomials are factored in one call."""
-    degree, tried = len(each[0]), np.array(bandwidths)
-    both = np.empty((len(each), len(tried), 2 * degree + 1))
-    for row, roots in zip(both, each, strict=True):
-        a = np.poly(roots)
-        row[:] = np.convolve(a, a[::-1])
-        row[:, degree] += np.abs(np.polyval(a[::-1], np.exp(-1j * tried))) ** 2
-    companions = np.tile(np.eye(2 * degree, k=-1), (len(each), len(tried), 1, 1))
-    companions[:, :, 0] = -both[..., 1:] / both[..., :1]
-    found = np.linalg.eigvals(companions)
-    inside = np.take_along_axis(found, np.argsort(np.abs(found), axis=-1)[..., :degree], axis=-1)
-    c = np.zeros((len(each), len(tried), degree + 1), dtype=np.complex128)
-    c[..., 0] = 1.0
-    for k in range(degree):
-        c[..., 1:] -= inside[..., k : k + 1] * c[..., :-1]
-    without = (1.0,) + (0.0,) * degree
-    return {
-        roots: {
-            b: LoadModel(roots, tuple(row)) for b, row in zip((*bandwidths, math.inf), (*rows, without), strict=True)
-        }
-        for roots, rows in zip(each, c.real.tolist(), strict=True)
-    }
+@lru_cache(maxsize=8192)
+def _factored(roots: tuple[float, ...], bandwidth: float) -> LoadModel:
+    """The load model of these roots. Each factor 1 - root q times its mirror image is (1 - root)^2 + root y, with
+    y = (1 - q)(1 - 1/q). So r + A(q) A(1/q) is a polynomial in y, and each of its roots is that of one factor of C.
+    """
+    if math.isinf(bandwidth):
+        return LoadModel(roots, (1.0,) + (0.0,) * len(roots))
+    least, rest, inside = [(1.0 - root) ** 2 for root in roots], 1.0, [1.0]
+    for root, square in zip(roots, least, strict=True):
+        rest *= square + root * 4.0 * math.sin(bandwidth / 2.0) ** 2
+        inside = [square * one + root * other for one, other in zip((*inside, 0.0), (0.0, *inside), strict=True)]
+    inside[0] += rest
+    each = []
+    if len(roots) > 2:  # Newton's rule from below finds the lowest root, which is real
+        (d, c, b, a), before = inside, -math.inf
+        y = min(-square / root for root, square in zip(roots, least, strict=True)) - (rest / a) ** (1 / 3)
+        while y > before:
+            before, y = y, y - (((a * y + b) * y + c) * y + d) / ((3.0 * a * y + 2.0 * b) * y + c)
+        each, inside = [complex(y)], [-d / y, (-d / y - c) / y, a]
+    e, b, *a = inside
+    apart = cmath.sqrt(b * b - 4.0 * a[0] * e) if a else 0.0
+    each += [(-b + apart) / (2.0 * a[0]), (-b - apart) / (2.0 * a[0])] if a else [complex(-e / b)]
+    bottom = [complex(1.0)]
+    for y in each:  # q + 1/q = 2 - y, of which q is the one outside the unit circle
+        half, root = 1.0 - y / 2.0, cmath.sqrt(y * (y / 4.0 - 1.0))
+        pole = 1.0 / max(half + root, half - root, key=abs)
+        bottom = [one - pole * other for one, other in zip((*bottom, 0.0), (0.0, *bottom), strict=True)]
+    return LoadModel(roots, tuple(one.real for one in bottom))
 
 
 def _walk(order: int, second: float, behind: float) -> tuple[int, float]:
