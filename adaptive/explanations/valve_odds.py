@@ -80,7 +80,7 @@ LOADS: Loads = tuple((bandwidth, order) for order in (1, 2) for bandwidth in (0.
 """Bandwidth and order of the loads that are tried."""
 FREE_LAGS = (0.5, *LAGS)
 EVERY_DEAD = tuple(np.arange(LATEST + 1.0).tolist())  # with next to no noise one that is a sample off hides a process
-JUMPING: Loads = ((0.1, VALUE), (0.8, VALUE), (math.inf, VALUE), (math.inf, BOTH), (0.1, SLOPE))
+JUMPING: Loads = (*((one, VALUE) for one in (0.02, 0.1, 0.4, 0.8, math.inf)), (math.inf, BOTH), (0.1, SLOPE))
 """Loads that jump, or turn a corner, besides."""
 NEAR_LOADS: Loads = tuple((bandwidth, order) for order in (VALUE, SLOPE) for bandwidth in FINE)
 EVERY_LOAD: Loads = (*NEAR_LOADS, *((bandwidth, BOTH) for bandwidth in FINE))
