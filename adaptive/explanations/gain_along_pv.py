@@ -11,7 +11,9 @@ known, and a self-regulating process and a tank are told by the same series. A l
 of 120 in the world of benchmarks/world none had a B over 0.7, of 80 that bend 22 over e (17 with x alone). One
 process explains all windows and records: a range of pv that one window alone visits says nothing, two ranges do. The
 mean over h is the price of its numbers. Where the grid says that a record bends, both sides have the process that suits
-them best (process_grid.py), and where z does, its rival has loads alone that change along pv: x of dco/h.
+them best (process_grid.py), and a load that jumps once: one row of a setpoint step that no process makes may be bent
+into place. More jumps make a bend at every step. Where z bends, its rival has loads alone that change along pv: x of
+dco/h.
 """
 
 import math
@@ -28,6 +30,8 @@ from retuner.adaptive.explanations.valve_odds import (
     LATEST,
     LOADS,
     NEAR_LOADS,
+    NO_TONE,
+    Given,
     Loads,
     log_mean,
 )
@@ -100,7 +104,7 @@ Side = Sequence[tuple[Prepared, float, FloatArray]]
 
 
 def _closely(side: Side, weights: Sequence[float], direction: int) -> float:
-    """Tempered log-likelihood of records behind the process that suits them best."""
+    """Tempered log-likelihood of records behind the process that suits them best, where loads wander and may jump."""
     starts = []
     for lag in LAGS:
         of_lag = _told(side, weights, direction, (LOADS,) * len(side), lag, second_lags(lag), COARSE)[:, 0]
@@ -116,8 +120,14 @@ def _closely(side: Side, weights: Sequence[float], direction: int) -> float:
         ) -> FloatArray:
             return _told(side, weights, direction, loads, lag, seconds, dead)[:, 0]
 
-        found.append(nearest(told, start, ENOUGH / TEMPER, LATEST).told)
-    return max(found)
+        found.append(nearest(told, start, ENOUGH / TEMPER, LATEST))
+    more = 0.0
+    for (record, _, rows), weight in zip(side, weights, strict=True):
+        walks = [under_loads(record, rows, o.lag, NEAR_LOADS, (o.dead,), seconds=(o.second,)) for o in found]
+        walk = max(float(np.max(fit.tempered(fit.gain[..., None]))) for fit in walks)
+        jumping = Given(record, direction, NO_TONE).with_jumps(rows[0], found, 1) / TEMPER
+        more += weight * float(np.logaddexp(0.0, jumping - walk))
+    return max(one.told for one in found) + more
 
 
 def _told(

@@ -80,10 +80,11 @@ def delayed(moved: FloatArray, rows: float) -> FloatArray:
 
 
 def shocks_that_pay(
-    record: Prepared, lag: float, load: tuple[float, int], beside: FloatArray, second: float = 0.0
-) -> tuple[list[int], float]:
+    record: Prepared, lag: float, load: tuple[float, int], beside: FloatArray, second: float = 0.0,
+    most: int = MOST_JUMPS,
+) -> tuple[list[int], float]:  # fmt: skip
     """Rows of the shocks that are worth their price, and ln L with them, priced. As for `shocks`."""
-    rows, told = shocks(record, lag, second, load, MOST_JUMPS, beside)
+    rows, told = shocks(record, lag, second, load, most, beside)
     told = told - JUMP_PRICE * math.log(len(record.pv)) * np.arange(len(told))
     return rows[: int(np.argmax(told))], float(np.max(told))
 

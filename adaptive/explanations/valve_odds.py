@@ -25,7 +25,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from retuner.adaptive.explanations.jumping_load import delayed, shocks_that_pay
+from retuner.adaptive.explanations.jumping_load import MOST_JUMPS, delayed, shocks_that_pay
 from retuner.adaptive.explanations.process_grid import DEAD_TIMES as OF_GRID
 from retuner.adaptive.explanations.process_grid import ENOUGH, Nearest, likeliest, nearest, second_lags
 from retuner.adaptive.explanations.process_grid import LAGS as EVERY_LAG
@@ -178,14 +178,14 @@ class Given:
         lead = (self.with_jumps(row, (walk, *tried)) - T_SETPOINT * walk.told) / TEMPER
         return walk.told + float(np.logaddexp(0.0, lead)) - math.log(2.0)
 
-    def with_jumps(self, row: FloatArray, tried: Sequence[Nearest]) -> float:
+    def with_jumps(self, row: FloatArray, tried: Sequence[Nearest], most: int = MOST_JUMPS) -> float:
         """ln L of an input under a load that jumps or turns corners, priced.
 
         tried : processes behind which jumps are looked for: a walk that leaves jumps over is likeliest behind another.
         """
         behind = {one: delayed(responses(row, one.lag, (one.second,))[0], one.dead) for one in dict.fromkeys(tried)}
         return max(
-            shocks_that_pay(self.record, at.lag, load, moved, at.second * (load[1] == BOTH))[1]
+            shocks_that_pay(self.record, at.lag, load, moved, at.second * (load[1] == BOTH), most)[1]
             for at, moved in behind.items()
             for load in JUMPING
         )
