@@ -35,7 +35,7 @@ from retuner.adaptive.explanations.likely_processes import quantile
 from retuner.adaptive.explanations.load_steps import lead_of_steps
 from retuner.adaptive.explanations.periodic_load import log_odds_of_repeating
 from retuner.adaptive.explanations.proposed_test import DecidingTest
-from retuner.adaptive.explanations.settings_by_odds import Worthwhile, halved, worthwhile
+from retuner.adaptive.explanations.settings_by_odds import Worthwhile, worthwhile
 from retuner.adaptive.explanations.slip_odds import log_odds_of_slips
 from retuner.adaptive.explanations.tuning_odds import TuningOdds, tuning_odds
 from retuner.adaptive.explanations.valve_odds import WEIGHT, log_odds_of_valve
@@ -412,19 +412,13 @@ def _verdict(
     """
     cause, p = next(iter(causes.items()))
     shares = {str(c): q for c, q in causes.items()}
-    by_fit = weight >= HALF and told.diagnosis.cause == cause and (told.tuning is None or p >= settings.more_odds)
+    by_fit = weight >= HALF and told.diagnosis.cause == cause and (told.tuning is None or p >= settings.due_odds)
     open_to_odds = sure and not (by_fit and told.tuning is not None)
     # an oscillation lasts and no setpoint step moved the loop: a load that oscillates may be all of it
     alone = not any(setpoint_changes(w) for w, _ in open_ones) and any(_lasts(f) for _, f in open_ones)
-    alone = alone and _less(causes) < settings.loads_odds
-    overshoots = any(f.diagnosis.evidence.get("overshoot", 0.0) > OVERSHOOTS for _, f in open_ones)
-    worth, none = None, UNKNOWN_GAINS if not sure else SWINGS_ALONE if alone else ""
-    if odds is not None and open_to_odds and not alone:
-        worth, none = _settings(causes, odds, walk.moved, settings)
-        if worth is not None and not _calmer(worth, odds) and overshoots:
-            worth, none = None, "more action is no answer to setpoint responses that overshoot"
-        if told.diagnosis.cause == Cause.STICTION:  # by a fitted valve, or its shapes
-            worth, none = None, STICKS
+    worth, none = None, "" if sure else UNKNOWN_GAINS
+    if odds is not None and open_to_odds:
+        worth, none = _settings(causes, odds, walk.moved < settings.moved, alone, settings)
     if by_fit and (told.tuning is not None or worth is None):
         return OddsFound(replace(told, diagnosis=replace(told.diagnosis, confidence=p, causes=shares)), odds)
     evidence = {name: value for name, value in told.diagnosis.evidence.items() if name not in OF_ONE_MODEL}
@@ -481,38 +475,40 @@ IN_QUESTION = 0.05
 
 
 def _settings(
-    causes: Mapping[Cause, float], odds: TuningOdds, moved: float, settings: OddsSettings
+    causes: Mapping[Cause, float], odds: TuningOdds, by_loads: bool, swings: bool, settings: OddsSettings
 ) -> tuple[Worthwhile | None, str]:
-    """Settings worth having, where tuning is the cause and the odds that they are asked for are large enough; else why
-    there are none.
+    """Settings worth having, of those that the odds of the causes ask for; else why there are none.
 
-    moved : of Walk. Loads alone may pass for the loop's own doing: then the test comes first, but where less action is
-    as good as sure.
+    by_loads : the setpoint hardly moves. Loads alone may pass for the loop's own doing: more action then takes larger
+    odds, and less does where an oscillation lasts (swings).
     """
     if next(iter(causes)) not in TUNING_CAUSES:
         return None, ""
-    less, most = _less(causes), next(iter(causes.values()))
-    if moved < settings.moved and less < settings.less_odds and most < settings.loads_odds:
-        return None, "the setpoint hardly moves, and loads alone do not show the tuning surely enough"
-    more = causes.get(Cause.SLUGGISH, 0.0)
-    found = worthwhile(odds, settings.worth)
-    if less >= settings.less_odds and (found is None or _calmer(found, odds) is False):
-        found = halved(odds, settings.worth)
-    if found is None:
-        return None, "none is better on enough of the processes that the record allows"
-    if _calmer(found, odds):  # more gain under less integral action answers a sluggish loop as well
-        asked = less + more * (abs(found.tuning.gains.kp) > abs(odds.gains.kp))
-        return (found, "") if asked >= settings.less_odds else (None, UNSURE)
+    if causes.get(Cause.STICTION, 0.0) > settings.most_valve:
+        return None, "the valve may stick, which hides the process"
     bends = causes.get(Cause.NONLINEAR, 0.0) > settings.nonlinear  # then more is too much elsewhere
-    if bends or causes.get(Cause.STICTION, 0.0) > settings.most_valve:  # behind a valve no process is seen
-        return None, "the process gain may change along pv" if bends else STICKS
-    return (found, "") if more >= settings.more_odds else (None, UNSURE)
+    less, more, now = _less(causes), 0.0 if bends else causes.get(Cause.SLUGGISH, 0.0), odds.gains
+    least, most = (settings.loads_odds if one else settings.due_odds for one in (swings, by_loads))
+
+    def asked(new: PidGains) -> bool:
+        if abs(new.kp) >= abs(now.kp) and abs(new.ki) >= abs(now.ki):
+            return more >= most
+        # more gain under less integral action answers a sluggish loop as well
+        return less >= least or less + more * (abs(new.kp) > abs(now.kp)) >= max(least, most)
+
+    found = worthwhile(odds, settings.worth, asked) if less + more >= min(least, most) else None
+    if found is not None:
+        return found, ""
+    if less >= least or more >= most:
+        return None, "none is better on enough of the processes that the record allows"
+    if bends:
+        return None, "the process gain may change along pv"
+    if by_loads:
+        return None, "the setpoint hardly moves, and loads alone do not show the tuning surely enough"
+    return None, "the cause is not sure enough for a change"
 
 
-STICKS = "the valve may stick, which hides the process"
-UNSURE = "the cause is not sure enough for a change"
 UNKNOWN_GAINS = "the active settings are only known roughly"
-SWINGS_ALONE = "an oscillation lasts, no setpoint step was made, and a load that oscillates may be all of it"
 
 
 def _less(causes: Mapping[Cause, float]) -> float:
@@ -521,12 +517,6 @@ def _less(causes: Mapping[Cause, float]) -> float:
 
 
 LESS = (Cause.AGGRESSIVE, Cause.SLOW_INTEGRATING)
-
-
-def _calmer(found: Worthwhile, odds: TuningOdds) -> bool:
-    """Whether settings have less gain, or less integral action, than those in force."""
-    new, now = found.tuning.gains, odds.gains
-    return abs(new.kp) < abs(now.kp) or abs(new.ki) < abs(now.ki)
 
 
 def _ms_range(odds: TuningOdds) -> dict[str, float]:
@@ -542,7 +532,7 @@ MS_SHOWN = 20.0
 """A larger Ms, and an unstable loop, is told as this."""
 
 OVERSHOOTS, OVERSHOOT = 0.25, "overshoot by"
-"""Overshoot from which it is told with a verdict, and more action is not advised."""
+"""Overshoot from which it is told with a verdict."""
 
 WORDS = {
     Cause.OK: "the tuning is in order",

@@ -160,3 +160,16 @@ def expected_cost(likely: LikelyProcesses, gains: PidGains, settings: WorthSetti
     """Expected cost of a set, and its Ms on each process."""
     each, peaks = costs(likely, gains, settings)
     return float(likely.weights @ each), peaks
+
+
+def harmless(weights: FloatArray, now: FloatArray, new: FloatArray, settings: WorthSettings) -> bool:
+    """Whether next to no process comes out badly by a change: where as few more are bad already, those do not count.
+    now, new : Ms on each.
+    """
+    bad = new > settings.ms_bad
+    made, lost = (float(weights @ one) for one in (bad & (now <= settings.ms_bad), np.isinf(new) & ~np.isinf(now)))
+    in_all = float(weights @ bad)
+    return made <= settings.bad_share and in_all <= IN_ALL * settings.bad_share and lost <= settings.unstable_share
+
+
+IN_ALL = 2.0  # times bad_share up to which processes may be bad after a change, those that are bad already included

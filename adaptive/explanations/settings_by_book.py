@@ -28,6 +28,7 @@ from retuner.adaptive.explanations.likely_processes import (
     LikelyProcesses,
     WorthSettings,
     costs,
+    harmless,
     over_cells,
     process_model,
     quantile,
@@ -61,9 +62,6 @@ class BookSettings:
     )
     ms_high: float = setting(2.0, "Ms above which a loop has too little robustness", _MS)
     ms_good: float = setting(1.7, "Ms up to which a loop may have more action", _MS)
-    ms_bad: float = setting(1.8, "Ms that bad_share of the processes may exceed after more action", _MS)
-    bad_share: float = setting(0.1, "Share of the odds that may come out badly", "0.05..0.4")
-    unstable_share: float = setting(0.02, "Share of the odds that may be unstable", "0..0.05")
     less_odds: float = setting(0.85, "Odds of ms_high from which less action follows", "0.5..0.9")
     sure_odds: float = setting(0.95, "Odds from which it does at once, behind a whole window", "0.9..0.99")
     more_odds: float = setting(0.85, "Odds of being cheaper from which more action follows", "0.5..0.9")
@@ -73,7 +71,7 @@ class BookSettings:
         2 / 3, "Odds of being better that a change needs by loads alone", "0.5..0.9", "60 changes, seeds 9331 to 9361"
     )
     room: float = setting(1.8, "Times as much of all actions that a loop with room bears", "1.5..3")
-    cost: WorthSettings = field(default_factory=lambda: WorthSettings(ms_calm=1.68))
+    cost: WorthSettings = field(default_factory=lambda: WorthSettings(ms_calm=1.68, unstable_share=0.02))
 
     def __post_init__(self) -> None:
         require_in_range(self, "book")
@@ -166,15 +164,15 @@ def by_book(book: Book, gains: PidGains, settings: BookSettings) -> ByBook:
     odds = high if leans < 0 else room if told else 0.0
     sure = odds >= settings.sure_odds and book.records > 0  # a part of a window looks sure too soon
     said = ByBook(numbers, leans, tells_tone=book.tone >= settings.tone)
-    unproved = leans > 0 and float(drawn.weights @ drawn.runs_away) >= 1.0 - settings.bad_share
+    unproved = leans > 0 and float(drawn.weights @ drawn.runs_away) >= 1.0 - settings.cost.bad_share
     if best is None or not leans or unproved or (leans != book.leans and not sure):
         return said
-    least = settings.bad_share if leans < 0 else 0.0
+    least = settings.cost.bad_share if leans < 0 else 0.0
     asked = [one for one, odds in zip(by_orders, book.orders, strict=False) if odds >= least]
     if any(gain(one, gains, best[1], settings)[1] < settings.borne_out for one in asked):
         return said
     worth, new, peaks = best
-    proved = ~drawn.runs_away & ((ms <= settings.ms_bad) | (peaks < ms) | (leans < 0))
+    proved = ~drawn.runs_away & ((ms <= settings.cost.ms_bad) | (peaks < ms) | (leans < 0))
     models = tuple(_proved_on(book, drawn, np.where(proved, peaks, np.nan), settings))
     numbers, tuning = replace(numbers, book_worth=worth), Tuning("simc", "series", new)
     return replace(said, numbers=numbers, tuning=tuning, models=models)
@@ -214,28 +212,13 @@ def lets_go(drawn: LikelyProcesses, now: PidGains, new: PidGains, settings: Book
     the odds that may come out badly. What holds one is gain: from a least one up (De Paor & O'Malley 1989).
     """
     worse = drawn.peaks(new) > np.maximum(drawn.peaks(now), settings.ms_high)
-    return float(drawn.weights @ (drawn.runs_away & worse)) > settings.bad_share
+    return float(drawn.weights @ (drawn.runs_away & worse)) > settings.cost.bad_share
 
 
 def bears(drawn: LikelyProcesses, now: PidGains, new: PidGains, settings: BookSettings) -> bool:
     """Whether more action costs less with the odds that it needs, and makes a bad loop on no more than it may."""
-    harmless = _harmless(drawn, drawn.peaks(now), drawn.peaks(new), settings)
-    return harmless and gain(drawn, now, new, settings)[1] >= settings.more_odds
-
-
-IN_ALL = 2.0  # times bad_share up to which processes may be bad with more action, those that are bad already included
-
-
-def _harmless(drawn: LikelyProcesses, now: FloatArray, new: FloatArray, settings: BookSettings) -> bool:
-    """Whether next to no process comes out badly by the change: where as few more are bad already, those do not count.
-    now, new : Ms on each.
-    """
-    bad = new > settings.ms_bad
-    made, lost = (
-        float(drawn.weights @ one) for one in (bad & (now <= settings.ms_bad), np.isinf(new) & ~np.isinf(now))
-    )
-    in_all = float(drawn.weights @ bad)
-    return made <= settings.bad_share and in_all <= IN_ALL * settings.bad_share and lost <= settings.unstable_share
+    fits = harmless(drawn.weights, drawn.peaks(now), drawn.peaks(new), settings.cost)
+    return fits and gain(drawn, now, new, settings)[1] >= settings.more_odds
 
 
 def _times(gains: PidGains, all_of_them: float, integral_time: float) -> PidGains:
@@ -267,7 +250,7 @@ def _bearable(
     for factor in factors if both else (1.0,):
         least = factor * gains.kp / gains.ki if both else math.inf
         short = [float(np.mean(one > SLACK * least)) for one in integral_times]
-        if factor >= 1.0 or (short[0] <= settings.bad_share and max(short) <= HALF):
+        if factor >= 1.0 or (short[0] <= settings.cost.bad_share and max(short) <= HALF):
             yield factor
 
 
@@ -300,7 +283,7 @@ def _best(
     for new in candidates:
         peaks = drawn.peaks(new)
         good = not told or float(drawn.weights @ (peaks <= settings.ms_good)) >= settings.more_odds
-        if more and not (good and _harmless(drawn, before, peaks, settings)):
+        if more and not (good and harmless(drawn.weights, before, peaks, settings.cost)):
             continue
         if not more and lets_go(drawn, gains, new, settings):
             continue
@@ -321,7 +304,7 @@ def _proved_on(book: Book, drawn: LikelyProcesses, peaks: FloatArray, settings: 
     whole = np.cumsum(drawn.weights[order])
     if not len(whole):
         return {}
-    at = whole[-1] * (1.0 - settings.bad_share) * (np.arange(PROVED_ON) + 0.5) / PROVED_ON
+    at = whole[-1] * (1.0 - settings.cost.bad_share) * (np.arange(PROVED_ON) + 0.5) / PROVED_ON
     at = np.searchsorted(whole, np.array([0.5 * whole[-1], *at]))
     chosen = Counter(int(order[min(int(i), len(order) - 1)]) for i in at)
     return {Plausible(_model(book, drawn, i), 0.0): times / len(at) for i, times in chosen.items()}

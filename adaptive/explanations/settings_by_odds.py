@@ -3,7 +3,8 @@
     worth(set) = E[cost(active)] - E[cost(set)],     cost as in likely_processes.py
 
 The expectation is over the processes of the grid with their odds, so a set is given where it is worth having on the
-whole, and only where next to no likely process makes a bad loop of it.
+whole, and only where it makes a bad loop of next to no likely process. Those come first that leave bad loops on fewer
+tenths of the odds.
 
 Candidates are SIMC's settings (Skogestad 2003) at several tau_c, and the set in force with less or more of all its
 actions, which keeps a derivative. SIMC's gain is that of one of the likeliest processes. The integral time at that
@@ -15,7 +16,7 @@ action, Ms 2.7 and 4.9).
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from retuner.adaptive.explanations.likely_processes import (
     LikelyProcesses,
     WorthSettings,
     expected_cost,
+    harmless,
     process_model,
     quantile,
 )
@@ -39,9 +41,6 @@ MIDDLE = 0.5  # the quantile of the odds
 TAU_CS = (1.0, 1.5, 2.5, 4.0)  # tau_c of the candidates, in effective dead times
 SCALES = (0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.65, 0.8, 1.25, 1.6, 2.0, 2.5, 3.0)
 """Factors on all actions of the set in force."""
-CALMER, STILL_BAD = (0.5, 0.4, 0.3, 0.25, 0.2, 0.15), 0.2
-"""Factors for a loop that is too tight, where no set is good on nearly all processes: the first that is on most, and
-the share of the odds that it may leave too tight."""
 TOLD_SHARE, TOLD_MOST = 0.9, 20  # share of the odds whose processes are told with settings, and how many at the most
 LEAST_ROOM, MOST_ROOM, ROOMS = 0.1, 10.0, 41  # factors on the set in force that are tried for how far it may be changed
 
@@ -95,41 +94,25 @@ def models(odds: TuningOdds, likely: LikelyProcesses) -> list[ProcessModel]:
     ]
 
 
-def worthwhile(odds: TuningOdds, settings: WorthSettings) -> Worthwhile | None:
-    """The settings that are worth most over the odds; None where none is worth a change."""
-    likely = likely_processes(odds, settings.processes)
-    known = models(odds, likely)
-    before = expected_cost(likely, odds.gains, settings)[0]
-    most: float = -math.inf
-    best: Tuning | None = None
-    for tuning in _candidates(odds.gains, known, likely.weights, odds.sample_time_s, settings):
-        cost, peaks = expected_cost(likely, tuning.gains, settings)
-        bad = float(likely.weights @ (peaks > settings.ms_bad))
-        if bad > settings.bad_share or float(likely.weights @ np.isinf(peaks)) > settings.unstable_share:
-            continue
-        worth = before - cost
-        if worth >= settings.worth and worth > most:
-            most, best = worth, tuning
-    return None if best is None else Worthwhile(best, _told(known, likely), *_room(odds, likely, settings))
+def worthwhile(odds: TuningOdds, settings: WorthSettings, asked: Callable[[PidGains], bool]) -> Worthwhile | None:
+    """The settings that are worth most over the odds; None where none is worth a change.
 
-
-def halved(odds: TuningOdds, settings: WorthSettings) -> Worthwhile | None:
-    """Half of every action or less: for a loop that is too tight, where no set is good on nearly all processes.
-
-    None where even that is not expected to be worth a change, or makes likely processes worse.
+    asked : whether the odds of the causes ask for such gains.
     """
     likely = likely_processes(odds, settings.processes)
-    now = odds.gains
-    before, peaks_before = expected_cost(likely, now, settings)
-    for scale in CALMER:
-        half = Tuning("simc", "series", PidGains(now.kp * scale, now.ki * scale, now.kd * scale))
-        cost, peaks = expected_cost(likely, half.gains, settings)
-        if float(likely.weights @ (peaks > settings.ms_bad)) <= STILL_BAD:
-            break
-    worse = float(likely.weights @ (peaks > np.maximum(peaks_before, settings.ms_bad)))
-    if before - cost < settings.worth or worse > settings.bad_share:
-        return None
-    return Worthwhile(half, _told(models(odds, likely), likely), *_room(odds, likely, settings))
+    known = models(odds, likely)
+    before, now = expected_cost(likely, odds.gains, settings)
+    found: list[tuple[float, float, Tuning]] = []
+    for tuning in _candidates(odds.gains, known, likely.weights, odds.sample_time_s, settings):
+        if not asked(tuning.gains):
+            continue
+        cost, peaks = expected_cost(likely, tuning.gains, settings)
+        bad = math.ceil(float(likely.weights @ (peaks > settings.ms_bad)) / settings.bad_share)
+        calmed = np.where(peaks < now, 1.0, peaks)  # a loop far too tight is calmed, though it stays too tight
+        if before - cost >= settings.worth and harmless(likely.weights, now, calmed, settings):
+            found.append((-max(bad, 1), before - cost, tuning))
+    best = max(found, key=lambda one: one[:2], default=None)
+    return None if best is None else Worthwhile(best[2], _told(known, likely), *_room(odds, likely, settings))
 
 
 def _told(known: list[ProcessModel], likely: LikelyProcesses) -> tuple[ProcessModel, ...]:

@@ -167,7 +167,6 @@ def demanded(settings: RetunerSettings) -> RetunerSettings:
             book,
             ms_high=nominal * book.ms_high,
             ms_good=nominal * book.ms_good,
-            ms_bad=nominal * book.ms_bad,
-            cost=replace(book.cost, ms_calm=nominal * book.cost.ms_calm),
+            cost=replace(book.cost, ms_bad=nominal * book.cost.ms_bad, ms_calm=nominal * book.cost.ms_calm),
         ),
     )

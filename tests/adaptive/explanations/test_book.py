@@ -31,6 +31,7 @@ from retuner.adaptive.explanations.book import (
     faded,
     update,
 )
+from retuner.adaptive.explanations.likely_processes import harmless
 from retuner.adaptive.explanations.process_grid import DEAD_TIMES, EVERY_LAG, GAINS, ProcessShape, shapes
 from retuner.adaptive.explanations.settings_by_book import BookSettings, by_book, gain, lets_go
 from retuner.adaptive.explanations.wandering_load import ORDERS
@@ -666,11 +667,11 @@ def test_more_action_that_samples_with_a_setpoint_step_bear_needs_no_whole_diagn
 def test_a_set_is_borne_that_costs_less_and_makes_a_bad_loop_on_next_to_no_process() -> None:
     drawn = after(scaled(0.25), 3).drawn(SETTINGS.drawn)
     good, odd = np.full(10, 1.2), np.array([1.2] * 8 + [1.2, 5.0])
-    ten: Any = SimpleNamespace(weights=np.full(10, 0.1))
+    ten = np.full(10, 0.1)
     worse = np.array([1.4] * 8 + [2.0, 9.0])
-    assert settings_by_book._harmless(ten, odd, worse, SETTINGS), "what is bad already is not its doing"
-    assert not settings_by_book._harmless(ten, good, worse, SETTINGS)
-    assert not settings_by_book._harmless(ten, good, np.where(worse > 5.0, np.inf, 1.4), SETTINGS), "unstable"
+    assert harmless(ten, odd, worse, SETTINGS.cost), "what is bad already is not its doing"
+    assert not harmless(ten, good, worse, SETTINGS.cost)
+    assert not harmless(ten, good, np.where(worse > 5.0, np.inf, 1.4), SETTINGS.cost), "unstable"
     assert settings_by_book.bears(drawn, scaled(0.25), scaled(0.5), SETTINGS)
     assert not settings_by_book.bears(drawn, scaled(0.25), scaled(2.5), SETTINGS), "badly"
     assert not settings_by_book.bears(drawn, scaled(0.5), scaled(0.25), SETTINGS), "slower"
@@ -1000,7 +1001,7 @@ def test_a_tone_that_a_response_is_diagnosed_as_counts_in_the_book(cause: Cause,
 def test_more_action_makes_a_bad_ms_on_few_processes(moved: float, ms_bad: float, *, enough: bool) -> None:
     now = scaled(0.25)
     book = replace(after(now, 3), leans=1, moved=moved)
-    told = by_book(book, now, replace(SETTINGS, ms_bad=ms_bad))
+    told = by_book(book, now, replace(SETTINGS, cost=replace(SETTINGS.cost, ms_bad=ms_bad)))
     assert (told.leans == 1, told.tuning is not None) == (enough, enough)
 
 
@@ -1038,9 +1039,9 @@ def test_a_process_that_has_perhaps_changed_is_doubted_and_not_forgotten() -> No
 )
 def test_what_is_bad_already_does_not_count_while_that_is_little(bad: float, made: float, follows: bool) -> None:
     """At 96 % probability that Ms is over its limit, a loop under a tone had got more action: it "made" nothing bad."""
-    drawn: Any = SimpleNamespace(weights=np.array([1.0 - bad - made, bad, made]))
+    weights = np.array([1.0 - bad - made, bad, made])
     now, new = np.array([1.2, 2.5, 1.5]), np.array([1.4, 2.4, 2.0])
-    assert settings_by_book._harmless(drawn, now, new, SETTINGS) == follows
+    assert harmless(weights, now, new, SETTINGS.cost) == follows
 
 
 @pytest.mark.parametrize(("nominal", "worst"), [(1.2, 1.2), (3.0, 5.0)])

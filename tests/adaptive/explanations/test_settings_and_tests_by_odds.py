@@ -8,7 +8,7 @@ from drawn_loop import PRIOR, loop_record
 from pi_loop import Lag, pi_loop, slipping
 
 from retuner.adaptive.explanations.deciding_test import deciding_test, valve_test
-from retuner.adaptive.explanations.likely_processes import WorthSettings
+from retuner.adaptive.explanations.likely_processes import WorthSettings, harmless
 from retuner.adaptive.explanations.process_grid import (
     DEAD_TIMES,
     FREQUENCIES,
@@ -20,7 +20,7 @@ from retuner.adaptive.explanations.process_grid import (
     units,
 )
 from retuner.adaptive.explanations.proposed_test import DecidingTest, TestKind
-from retuner.adaptive.explanations.settings_by_odds import halved, likely_processes, worthwhile
+from retuner.adaptive.explanations.settings_by_odds import likely_processes, worthwhile
 from retuner.adaptive.explanations.tone import likeliest_tone
 from retuner.adaptive.explanations.tuning_odds import TuningLimits, TuningOdds, tuning_odds
 from retuner.adaptive.explanations.valve_odds import log_odds_of_valve
@@ -30,6 +30,10 @@ from retuner.adaptive.process.model import LinearProcess
 from retuner.schedule.gains import PidGains
 
 TRUTH = LinearProcess(1.0, (20.0,), (), 4.5)
+
+
+def any_change(_: PidGains) -> bool:
+    return True
 
 
 def odds_of(kc: float, *, seed: int = 5, step: float = 4.0) -> tuple[TuningOdds, Prepared]:
@@ -45,13 +49,12 @@ def odds_of(kc: float, *, seed: int = 5, step: float = 4.0) -> tuple[TuningOdds,
 def test_settings_are_robust_on_nearly_all_odds_and_on_the_truth(kc: float, seed: int) -> None:
     odds, _ = odds_of(kc, seed=seed)
     settings = WorthSettings()
-    found = worthwhile(odds, settings)
+    found = worthwhile(odds, settings, any_change)
     assert found is not None
     gains = found.tuning.gains
     likely = likely_processes(odds, settings.processes)
     peaks = likely.peaks(gains)
-    assert float(likely.weights @ (peaks > settings.ms_bad)) <= settings.bad_share
-    assert float(likely.weights @ np.isinf(peaks)) <= settings.unstable_share
+    assert harmless(likely.weights, likely.peaks(odds.gains), peaks, settings)
     assert sensitivity_peak(TRUTH, gains) < 2.1
     assert (gains.kp > kc) is (kc < 1.0)
     assert gains.kp <= settings.most_at_once * kc * (1 + 1e-9)
@@ -67,7 +70,7 @@ def test_a_level_loop_gets_simcs_integral_time_at_the_gain_that_a_record_carries
     certain[shape, DEAD_TIMES.index(5.0), int(np.argmin(np.abs(GAINS * units()[shape] / unit - slope)))] = 0.0
     odds = tuning_odds(certain, gains, 1.0, PRIOR, TuningLimits())
     settings = WorthSettings()
-    found = worthwhile(odds, settings)
+    found = worthwhile(odds, settings, any_change)
     assert found is not None
     new = found.tuning.gains
     assert new.kp == pytest.approx(settings.most_at_once * gains.kp)
@@ -81,7 +84,7 @@ def test_a_level_loop_gets_the_integral_time_of_the_middle_of_the_odds_and_not_t
     at = int(np.argmin(np.abs(slopes - slope)))
     even = np.full((len(shapes()), len(DEAD_TIMES), len(GAINS)), -1e3)
     even[shape, DEAD_TIMES.index(5.0), [at - 2, at, at + 2]] = 0.0
-    found = worthwhile(tuning_odds(even, gains, 1.0, PRIOR, TuningLimits()), WorthSettings())
+    found = worthwhile(tuning_odds(even, gains, 1.0, PRIOR, TuningLimits()), WorthSettings(), any_change)
     assert found is not None
     new = found.tuning.gains
     assert slopes[at] * new.kp**2 / new.ki == pytest.approx(4.0, rel=0.05)
@@ -100,17 +103,16 @@ def test_iae_after_a_load_step_is_that_of_a_second_order_loop(damping: float) ->
 
 def test_a_loop_in_order_needs_no_other_settings() -> None:
     odds, _ = odds_of(2.2)
-    assert worthwhile(odds, WorthSettings()) is None
-    assert halved(odds, WorthSettings()) is None
+    assert worthwhile(odds, WorthSettings(), any_change) is None
 
 
 def test_a_loop_far_too_tight_is_calmed_where_no_set_is_sure() -> None:
     odds, _ = odds_of(5.0)
-    found = halved(odds, WorthSettings())
+    found = worthwhile(odds, WorthSettings(), lambda new: new.kp < 5.0)
     assert found is not None
     share = found.tuning.gains.kp / 5.0
-    assert 0.15 <= share <= 0.5
-    assert found.tuning.gains.ki == pytest.approx(share * 0.25)
+    assert 0.15 <= share <= 0.6
+    assert sensitivity_peak(TRUTH, found.tuning.gains) < 2.1
 
 
 def record_through_valve(band: float, step: float, seed: int = 2, n: int = 700, tone: float = 0.0) -> Prepared:
