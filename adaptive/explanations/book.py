@@ -167,6 +167,11 @@ class Book:
         return max(now, before) if before > TONE else now
 
     @property
+    def untold_tone(self) -> float:
+        """Probability of a tone beside which the moves of the setpoint have not told the process."""
+        return self.tone * (1.0 - self.moved)
+
+    @property
     def told_by_setpoint(self) -> bool:
         """Whether the moves of the setpoint have told the process, and not loads alone."""
         return self.moved >= TOLD

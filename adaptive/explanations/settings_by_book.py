@@ -4,12 +4,13 @@
 
 The expectation is over processes drawn from the book, each as likely as the others; what is told of the gains in force
 holds between the grid's points as well (`over_cells`). On line a change costs more than words: it is made where the
-book is clear, and was at the look before (for less action after the whole window before), and where no tone from
-outside may be what moves it, unless the setpoint has moved it as well. Less action, where Ms is probably too high with
-the gains in force. More, where a set with more is probably cheaper, and next to no process makes a bad loop of it: a
-share of the way, where the whole is not sure. No more where next to all processes run away, for on these nothing is
-proved; no less where it would hold them worse. No more integral action for the gain than the rule gives next to every
-process (SIMC: Skogestad 2003), for a load that comes back by itself looks like a process that does.
+book is clear, and was at the look before (for less action after the whole window before). Where a tone from outside may
+be what moves the loop, and the setpoint has not told the process, more action waits; less is weighed with that. Less
+action, where Ms is probably too high with the gains in force. More, where a set with more is probably cheaper, and next
+to no process makes a bad loop of it: a share of the way, where the whole is not sure. No more where next to all
+processes run away, for on these nothing is proved; no less where it would hold them worse. No more integral action for
+the gain than the rule gives next to every process (SIMC: Skogestad 2003), for a load that comes back by itself looks
+like a process that does.
 How the spectrum of a load falls is assumed, and in closed loop much of what a record says rests on that (Forssell &
 Ljung 1999). So by loads alone a change must be as likely better as not under each order of the walk by itself, less
 action under each that the samples do not refute; nor may a shorter integral time be shorter than the rule's there.
@@ -56,7 +57,9 @@ class BookSettings:
         0.5, "Odds that a process has changed where two responses differ from all before", "0.1..0.9"
     )
     drawn: int = setting(300, "Processes that stand for the weights", "100..1000")
-    tone: float = setting(0.2, "Odds of an external oscillation from which nothing follows by loads alone", "0.05..0.9")
+    tone: float = setting(
+        0.2, "Odds of an external oscillation from which loads alone ask for no more action", "0.05..0.9"
+    )
     worth: float = setting(
         0.18, "How much cheaper a change must be expected to be", "0.1..0.7", "ln 1.2: below J's limit"
     )
@@ -150,17 +153,17 @@ def by_book(book: Book, gains: PidGains, settings: BookSettings) -> ByBook:
     numbers = BookNumbers(high, room, middle, low, most, float(book.records), book.tone)
     by_orders = [book.drawn(settings.drawn, order) for order in (() if told else ORDERS)]
     integral_times = [_integral_times(book, one) for one in (drawn, *by_orders)]
-    kinds = [MORE_OF_ALL]
+    kinds, tone = [MORE_OF_ALL], book.untold_tone
     if told:
         kinds += [MORE_GAIN, MORE_INTEGRAL] if high >= settings.less_odds else [MORE_GAIN]
     tried = [one for kind in kinds for one in _sets(gains, kind, integral_times, settings)]
-    leans, best = 0, _best(drawn, gains, tried, settings, more=True, told=told)
+    leans, best = 0, _best(drawn, gains, tried, settings, more=True, told=told, tone=tone)
     if best is not None and gain(drawn, gains, best[1], settings)[1] >= settings.more_odds:
         leans = 1
     elif high >= settings.less_odds:
         less = _sets(gains, LESS_OF_ALL, integral_times, settings)
-        leans, best = -1, _best(drawn, gains, less, settings, more=False, told=told)
-    leans = 0 if book.tone * (1.0 - book.moved) >= settings.tone else leans
+        leans, best = -1, _best(drawn, gains, less, settings, more=False, told=told, tone=tone)
+    leans = 0 if tone >= (HALF if leans < 0 else settings.tone) else leans
     odds = high if leans < 0 else room if told else 0.0
     sure = odds >= settings.sure_odds and book.records > 0  # a part of a window looks sure too soon
     said = ByBook(numbers, leans, tells_tone=book.tone >= settings.tone)
@@ -195,16 +198,21 @@ def gain(drawn: LikelyProcesses, now: PidGains, new: PidGains, settings: BookSet
 
 
 def worth_of(
-    drawn: LikelyProcesses, stays: FloatArray, goes: FloatArray, settings: BookSettings, *, more: bool
+    drawn: LikelyProcesses, saves: FloatArray, settings: BookSettings, *, more: bool, tone: float, faster: float
 ) -> float:
-    """What a change is worth, ln. stays, goes : cost of the sets in force and new, on each process.
+    """What a change is worth, ln. saves : on each process. tone : Book.untold_tone. faster : of `faster`.
 
     More action goes on trial, which bounds what it may cost on a process: unlikely ones on which it is unstable do not
-    outweigh what it saves on the others.
+    outweigh what it saves on the others. Less action saves nothing where a tone moves the loop, but is slower.
     """
-    expected = float(drawn.weights @ stays) - float(drawn.weights @ goes)
-    bounded = float(drawn.weights @ np.clip(stays - goes, -settings.most, settings.most))
-    return max(expected, bounded) if more else expected
+    expected = float(drawn.weights @ saves)
+    bounded = float(drawn.weights @ np.clip(saves, -settings.most, settings.most))
+    return max(expected, bounded) if more else (1.0 - tone) * expected + tone * faster
+
+
+def faster(now: PidGains, new: PidGains) -> float:
+    """How much faster a load is rejected, ln: by integral action, or gain where there is none."""
+    return math.log(new.ki / now.ki if now.ki else new.kp / now.kp)
 
 
 def lets_go(drawn: LikelyProcesses, now: PidGains, new: PidGains, settings: BookSettings) -> bool:
@@ -254,7 +262,7 @@ def _bearable(
             yield factor
 
 
-HALF = 0.5  # odds up to which a shorter integral time may be too short under each order of load
+HALF = 0.5  # odds up to which a shorter integral time may be too short under each order of load, or a tone be there
 SLACK, PER_PROCESS = 1.25, 300
 """The rule's integral time over one that is too short for it; times that a process with all of the weight counts."""
 
@@ -277,6 +285,7 @@ def _best(
     *,
     more: bool,
     told: bool,
+    tone: float,
 ) -> tuple[float, PidGains, FloatArray] | None:
     """Worth, gains and Ms on each process of the candidate that is most worth a change; None where none is."""
     (stays, before), found = costs(drawn, gains, settings.cost), []
@@ -287,9 +296,10 @@ def _best(
             continue
         if not more and lets_go(drawn, gains, new, settings):
             continue
-        goes = costs(drawn, new, settings.cost)[0]
-        if worth_of(drawn, stays, goes, settings, more=more) >= settings.worth:
-            found.append((float(drawn.weights @ stays) - float(drawn.weights @ goes), new, peaks))
+        saves = stays - costs(drawn, new, settings.cost)[0]
+        worth = worth_of(drawn, saves, settings, more=more, tone=tone, faster=faster(gains, new))
+        if worth >= settings.worth:
+            found.append((float(drawn.weights @ saves) if more else worth, new, peaks))
     return max(found, key=lambda one: one[0], default=None)
 
 

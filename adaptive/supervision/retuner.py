@@ -355,7 +355,7 @@ class Retuner:
         rests_on, foreign = self.excitation.get(region, Excitation()), self.foreign.get(region, 0)
         shown = shown_clearly(self.region_models.get(region), rests_on, foreign)
         known = KnownProcesses(self.table, self.region_models, self.now_s, self.settings)
-        tells = book and book.records and not shown and book.tone * (1.0 - book.moved) < asked.tone
+        tells = book and book.records and not shown and book.untold_tone < asked.tone
         return known_of(known, region, book if tells else None)
 
     def _person_decides(self, region: int) -> bool:
