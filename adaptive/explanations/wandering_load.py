@@ -117,20 +117,23 @@ def _factored(roots: tuple[float, ...], bandwidth: float) -> LoadModel:
         rest *= square + root * 4.0 * math.sin(bandwidth / 2.0) ** 2
         inside = [square * one + root * other for one, other in zip((*inside, 0.0), (0.0, *inside), strict=True)]
     inside[0] += rest
-    each = []
+    each: list[complex] = []
     if len(roots) > 2:  # Newton's rule from below finds the lowest root, which is real
         (d, c, b, a), before = inside, -math.inf
         y = min(-square / root for root, square in zip(roots, least, strict=True)) - (rest / a) ** (1 / 3)
         while y > before:
             before, y = y, y - (((a * y + b) * y + c) * y + d) / ((3.0 * a * y + 2.0 * b) * y + c)
         each, inside = [complex(y)], [-d / y, (-d / y - c) / y, a]
-    e, b, *a = inside
-    apart = cmath.sqrt(b * b - 4.0 * a[0] * e) if a else 0.0
-    each += [(-b + apart) / (2.0 * a[0]), (-b - apart) / (2.0 * a[0])] if a else [complex(-e / b)]
+    if len(inside) > 2:
+        e, b, a = inside
+        side = cmath.sqrt(b * b - 4.0 * a * e)
+        each += [(side - b) / (2.0 * a), (-side - b) / (2.0 * a)]
+    else:
+        each.append(complex(-inside[0] / inside[1]))
     bottom = [complex(1.0)]
-    for y in each:  # q + 1/q = 2 - y, of which q is the one outside the unit circle
-        half, root = 1.0 - y / 2.0, cmath.sqrt(y * (y / 4.0 - 1.0))
-        pole = 1.0 / max(half + root, half - root, key=abs)
+    for found in each:  # q + 1/q = 2 - y, of which q is the one outside the unit circle
+        half, side = 1.0 - found / 2.0, cmath.sqrt(found * (found / 4.0 - 1.0))
+        pole = 1.0 / max(half + side, half - side, key=abs)
         bottom = [one - pole * other for one, other in zip((*bottom, 0.0), (0.0, *bottom), strict=True)]
     return LoadModel(roots, tuple(one.real for one in bottom))
 

@@ -971,12 +971,21 @@ def _follows(
 def test_more_action_is_weighed_by_what_it_may_cost_on_trial() -> None:
     """A loop at J 14 stayed there: unstable processes, of 2 % of the odds, cost as much as the change saved."""
     ten: Any = SimpleNamespace(weights=np.full(10, 0.1))
-    stays, goes = np.zeros(10), np.array([-0.5] * 9 + [4.0])
-    worth = [settings_by_book.worth_of(ten, stays, goes, SETTINGS, more=more) for more in (True, False)]
+    saves, no_tone = np.array([0.5] * 9 + [-4.0]), {"tone": 0.0, "faster": 0.4}
+    worth = [settings_by_book.worth_of(ten, saves, SETTINGS, more=more, **no_tone) for more in (True, False)]
     assert worth == pytest.approx([0.45 - 0.1 * SETTINGS.most, 0.05])
     assert worth[1] < SETTINGS.worth < worth[0]
-    saved = settings_by_book.worth_of(ten, stays, np.full(10, -2.0), SETTINGS, more=True)
+    saved = settings_by_book.worth_of(ten, np.full(10, 2.0), SETTINGS, more=True, **no_tone)
     assert saved == pytest.approx(2.0), "what it saves is not bounded"
+
+
+@pytest.mark.parametrize(("ki", "slower"), [(0.4, math.log(0.5)), (0.0, math.log(0.8))])
+def test_less_action_saves_nothing_under_a_tone_and_is_slower(ki: float, slower: float) -> None:
+    """Behind 20 % odds of a tone a loop stayed at Ms 110, though less action was worth 360 %."""
+    ten: Any = SimpleNamespace(weights=np.full(10, 0.1))
+    assert settings_by_book.faster(PidGains(1.0, 2 * ki), PidGains(0.8, ki)) == pytest.approx(slower)
+    worth = settings_by_book.worth_of(ten, np.full(10, 3.0), SETTINGS, more=False, tone=0.4, faster=slower)
+    assert worth == pytest.approx(0.6 * 3.0 + 0.4 * slower)
 
 
 def test_what_limits_leave_of_a_change_must_be_worth_it() -> None:

@@ -123,11 +123,10 @@ def test_gains_far_from_the_first_open_what_those_left_out(likely: FloatArray, t
     if times > 1.0:
         assert entered == pytest.approx(float(np.sum(new)) / float(np.sum(~out_of(opened))), abs=0.05)
     else:
-        assert entered == 0.0
+        assert 0.0 < entered < 0.1, "only a change of the process brings them"
         assert float(faded(opened, 30.0 * HAZARD, HAZARD).whole != opened.whole)
         late = replace(opened, levels=faded(opened, 30.0 * HAZARD, HAZARD).whole)
         assert float(late.weights()[new].sum()) > 0.01
-    assert np.array_equal(opened.weights() > 0.0, book.weights() > 0.0) == (times < 1.0)
     assert opened.under(now) is opened
 
 

@@ -1,9 +1,11 @@
 """A fit whose loads are steps: what it is worth beside a load that wanders, and what it says of processes of a grid."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from pi_loop import Lag, pi_loop
 
 from retuner.adaptive.explanations.book import update, with_response
 from retuner.adaptive.explanations.load_steps import apart, lead_of_steps
@@ -15,8 +17,7 @@ from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.identify import identify_window
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import Window
-from retuner.schedule.pid import law, start, step
-from tests.adaptive.explanations.test_book import GOOD, SETTINGS, Plant, after, recorded, scaled
+from tests.adaptive.explanations.test_book import DEAD, GOOD, LAG, SETTINGS, K, after, recorded
 from tests.adaptive.explanations.test_wandering_load import drawn_record
 
 
@@ -62,14 +63,9 @@ def test_the_nearest_process_of_the_grid_is_the_fit_itself(
 
 def stepped(seed: int, times: float) -> Window:
     """A loop under good gains after a step in the load, on a process whose gain is so many times what it was."""
-    noise = np.random.default_rng(seed).normal(size=400) * 0.02
-    rules = law(scaled(times), co_min=-1e6, co_max=1e6)
-    state, plant, pv, rows = start(rules, 0.0, 0.0, 0.0), Plant(), 0.0, []
-    for i in range(400):
-        state, co = step(rules, state, 0.0, pv + float(noise[i]), 1.0)
-        rows.append((1000.0 * seed + i, 0.0, pv + float(noise[i]), co / times))
-        pv = plant.move(co + 1.0 * (i >= 100))
-    return Window(*np.array(rows).T)
+    noise, load = np.random.default_rng(seed).normal(size=400) * 0.02, np.where(np.arange(400) < 100, 0.0, 0.5)
+    window = pi_loop(GOOD, Lag(LAG, DEAD, times * K), np.zeros(400), noise, load)
+    return replace(window, t_s=window.t_s + 1000.0 * seed)
 
 
 def test_loads_that_are_steps_tell_the_book_that_the_gain_has_doubled() -> None:
