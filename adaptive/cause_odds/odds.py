@@ -493,8 +493,8 @@ def _settings(
     def asked(new: PidGains) -> bool:
         if abs(new.kp) >= abs(now.kp) and abs(new.ki) >= abs(now.ki):
             return more >= most
-        # more gain under less integral action answers a sluggish loop as well
-        return less >= least or less + more * (abs(new.kp) > abs(now.kp)) >= max(least, most)
+        # more gain under less integral action answers a sluggish loop as well; neither is then the likelier by itself
+        return less >= least or less + more * (abs(new.kp) > abs(now.kp)) >= settings.loads_odds
 
     found = worthwhile(odds, settings.worth, asked) if less + more >= min(least, most) else None
     if found is not None:
