@@ -32,14 +32,13 @@ from retuner.adaptive.diagnosis.tuning_verdict import RecordVerdict, by_coincide
 from retuner.adaptive.explanations.deciding_test import deciding_test, valve_test
 from retuner.adaptive.explanations.gain_along_pv import GainAlongPv, gain_along_pv
 from retuner.adaptive.explanations.likely_processes import quantile
-from retuner.adaptive.explanations.load_steps import lead_of_steps
 from retuner.adaptive.explanations.periodic_load import log_odds_of_repeating
 from retuner.adaptive.explanations.proposed_test import DecidingTest
 from retuner.adaptive.explanations.settings_by_odds import Worthwhile, worthwhile
 from retuner.adaptive.explanations.slip_odds import log_odds_of_slips
 from retuner.adaptive.explanations.tuning_odds import TuningOdds, tuning_odds
 from retuner.adaptive.explanations.valve_odds import WEIGHT, log_odds_of_valve
-from retuner.adaptive.explanations.wandering_load import TEMPER, Prepared
+from retuner.adaptive.explanations.wandering_load import TEMPER, Prepared, lead_of_steps
 from retuner.adaptive.fit.record import setpoint_changes
 from retuner.adaptive.fit.structure import model_at
 from retuner.adaptive.identification.candidate import Candidate

@@ -37,7 +37,6 @@ import numpy.typing as npt
 
 from retuner.adaptive.explanations.any_load import T_ANSWERS, log_likelihood_of_answers
 from retuner.adaptive.explanations.likely_processes import LikelyProcesses
-from retuner.adaptive.explanations.load_steps import apart, lead_of_steps
 from retuner.adaptive.explanations.process_grid import (
     DEAD_TIMES,
     EVERY_LAG,
@@ -45,6 +44,7 @@ from retuner.adaptive.explanations.process_grid import (
     HALF_TURN,
     BoolArray,
     ComplexArray,
+    apart,
     control_law,
     gain_unit,
     loop_phases,
@@ -60,6 +60,7 @@ from retuner.adaptive.explanations.wandering_load import (
     TEMPER,
     Prepared,
     block_means,
+    lead_of_steps,
     log_likelihoods,
     setpoint_share,
     temper,
@@ -351,7 +352,7 @@ def heard(book: Book, sure: float, *, tone: bool) -> Book:
 
 
 def with_response(book: Book, window: Window, estimate: ModelEstimate) -> Book:
-    """The book with the fit of a response: loads are steps (load_steps.py), as likely before it as one that wanders.
+    """The book with the fit of a response: loads are steps, as likely before it as one that wanders.
 
     Where a load wanders, nothing is added; where steps explain the response better, that stands for the process.
     """

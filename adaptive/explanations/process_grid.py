@@ -21,6 +21,8 @@ from functools import cache
 import numpy as np
 import numpy.typing as npt
 
+from retuner.adaptive.identification.estimate import LogModel
+from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
@@ -135,6 +137,39 @@ def iae_over_ie(responses: ComplexArray, law: ComplexArray) -> FloatArray:
     error = responses / (1j * FREQUENCIES * (1.0 + responses * law))  # after a unit step in the load
     integral = 1.0 / (1j * FREQUENCIES[0] * law[0]).real
     return np.asarray(np.maximum(np.log(np.abs(error.real @ to_times) @ weights / integral), 0.0))
+
+
+def apart(log: LogModel, temper: float, gain_unit: float, sample_time_s: float) -> FloatArray:
+    """d^2 of every process of the grid from a fitted one, of the nearest 0; shape (shapes, dead times, gains).
+
+    d are the differences of ln |G(jw)| and arg G(jw) at SEEN_AT, over how well the record tells them: -d^2/2 is the
+    likelihood of the fit around its optimum (Laplace), in what a loop sees of a process. A fit lies between the points
+    of the grid, and the nearest one stands for it.
+
+    log : the fitted process, with the covariance of its record. temper : by which that grows. gain_unit,
+    sample_time_s : in which loop gains and times of the grid are counted.
+    """
+
+    def seen(model: ProcessModel, at: FloatArray = FREQUENCIES) -> FloatArray:
+        response = log.sign * model.seen_by_controller(sample_time_s).linear().response(at / sample_time_s)
+        return np.array([np.log(np.abs(response)), np.unwrap(np.angle(response))])
+
+    turned = seen(log.model())[1]
+    crossover = FREQUENCIES[min(int(np.sum(turned > -math.pi)), len(FREQUENCIES) - 1)]
+    index = np.unique(np.clip(np.searchsorted(FREQUENCIES, np.array(SEEN_AT) * crossover), 0, len(FREQUENCIES) - 1))
+    at = FREQUENCIES[index]
+    fitted = seen(log.model(), at)
+    spread = temper * log.covariance_of(lambda model: seen(model, at).ravel()) + COARSE**2 * np.eye(fitted.size)
+    grid = responses_of(*np.indices((len(shapes(EVERY_LAG)), len(DEAD_TIMES))))[..., None, index]
+    size = np.log(np.abs(grid)) + np.log(GAINS / gain_unit)[:, None] - fitted[0]
+    angle = (np.angle(grid) - fitted[1] + math.pi) % (2.0 * math.pi) - math.pi
+    off = np.concatenate([size, np.broadcast_to(angle, size.shape)], axis=-1)
+    found = np.einsum("...i,ij,...j->...", off, np.linalg.inv(spread), off)
+    return np.asarray(found - np.min(found))
+
+
+SEEN_AT = (0.33, 0.67, 1.0)  # frequencies at which processes are compared, as shares of the phase crossover
+COARSE = 0.1  # standard deviation of ln |G| and arg G by which a process of the grid stands for those around it
 
 
 TIMES = np.geomspace(0.5, 8000.0, 64)  # samples after a step, for its integral

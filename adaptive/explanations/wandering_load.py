@@ -412,6 +412,23 @@ def likeliest_load(record: Prepared, lag: float) -> tuple[LoadModel, float]:
     return LoadModel(model.roots, c), math.sqrt(float(variance[best]))
 
 
+def lead_of_steps(left: float, steps: int, samples: int, record: Prepared, likelihood: FloatArray) -> float:
+    """Lead, ln, of a fit whose loads are steps over every process under a load that wanders.
+
+    left : mean square of what the fit leaves of a row of the record, its resolution at least. steps : of load, or
+    harmonics of a tone. samples : that were fitted; each number costs half of their logarithm (Schwarz 1978).
+    """
+    rows, numbers = len(record.pv), OWN_NUMBERS + NUMBERS_OF_STEP * steps
+    best = TEMPER * float(np.max(likelihood)) + (TEMPER - 1.0) * math.log(len(LOADS_OF_BOOK))  # their price, once
+    best = best / rows - 0.5 * math.log(float(np.var(record.pv)))
+    price = numbers * math.log(samples) / (2 * samples)
+    return samples * (-0.5 * math.log(max(left, record.resolution**2) * rows) - price - best)
+
+
+OWN_NUMBERS, NUMBERS_OF_STEP = 2.0, 2.0
+"""Numbers of a fit: start and level, as the process is chosen under a walk as well; size and time of each load step."""
+
+
 def setpoint_share(record: Prepared, setpoint: FloatArray, lag: float) -> tuple[float, float]:
     """The setpoint's share in what moves a record, and s of the head of this file.
 

@@ -26,7 +26,6 @@ from retuner.adaptive.diagnosis.cause import MOST, Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.explanations.book import MOST_ROOM, MS_OF_ROOM, ODD, Book, doubted, heard, update, with_response
 from retuner.adaptive.explanations.likely_processes import cost_on, costs
-from retuner.adaptive.explanations.load_steps import lead_of_steps
 from retuner.adaptive.explanations.process_grid import EVERY_LAG
 from retuner.adaptive.explanations.settings_by_book import (
     MS_SHOWN,
@@ -42,7 +41,7 @@ from retuner.adaptive.explanations.settings_by_book import (
     worth_of,
 )
 from retuner.adaptive.explanations.tone import tone_of
-from retuner.adaptive.explanations.wandering_load import TEMPER, Prepared, log_likelihoods
+from retuner.adaptive.explanations.wandering_load import TEMPER, Prepared, lead_of_steps, log_likelihoods
 from retuner.adaptive.guard import Proof, prove
 from retuner.adaptive.guard.request import Evidence
 from retuner.adaptive.identification.plausible import Plausible

@@ -8,10 +8,9 @@ import pytest
 from pi_loop import Lag, pi_loop
 
 from retuner.adaptive.explanations.book import update, with_response
-from retuner.adaptive.explanations.load_steps import apart, lead_of_steps
-from retuner.adaptive.explanations.process_grid import DEAD_TIMES, EVERY_LAG, GAINS, shapes
+from retuner.adaptive.explanations.process_grid import DEAD_TIMES, EVERY_LAG, GAINS, apart, shapes
 from retuner.adaptive.explanations.settings_by_book import by_book
-from retuner.adaptive.explanations.wandering_load import log_likelihood
+from retuner.adaptive.explanations.wandering_load import lead_of_steps, log_likelihood
 from retuner.adaptive.fit.structure import parameters_of
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.identify import identify_window
