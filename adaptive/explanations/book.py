@@ -7,6 +7,7 @@ without a tone from outside and with one (tone.py).
     fade      w  <-  (1 - h) w + h prior,      h = 1 - exp(-t / hazard);      a tone begins and ends likewise
     all   ln L/T  =  (1 - s)/T_LOADS ln W + s (A/(2 T_ANSWERS) + ln W/(2 T_SETPOINT)),          without a tone
     told      w   =  (1 - tone) w_all + tone w_answers,            once the setpoint has told the process
+    response  ln w  <-  ln w + ln(1 + L_fit e^(-d^2/2) / L),       loads as steps; d: how far off its fit is (`apart`)
 
 A tone lasts, so it is kept with each process whether there is one: a single window of it may look like a loop near
 instability, and several would make that sure. Under a tone and by loads alone, next to nothing tells a process from the
