@@ -20,6 +20,7 @@ import numpy.typing as npt
 from retuner.adaptive.decision_numbers import Numbers
 from retuner.adaptive.declared_setting import require_in_range, setting
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
+from retuner.adaptive.signals.recogniser import SWINGS_ON
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import LoopMode, LoopSample, Window, stood_still
 from retuner.schedule.late_dataclass import dataclass, replace
@@ -29,6 +30,7 @@ from retuner.schedule.regions import Regions
 EVERYWHERE = (-math.inf, math.inf)
 RANGE_ROOM = 0.1
 """Share of the transmitter's range by which pv may stand outside of it: ranges are rounded, sensors reach further."""
+JUMPS = 0.5  # largest share of its span that pv passes from one sample to the next in a swing: a fault does so at once
 
 AT_END = 1e-3
 """Share of the range by which pv may be off its end and count as clipped there: converters end a count before it."""
@@ -251,11 +253,14 @@ def _of_record(
     """Is the record that of a loop under control, by a sensor that lives? kept : pv as far as it is kept."""
     manual = float(sum(sample.mode != LoopMode.AUTO for sample in samples))
     yield AdmissionNumbers(manual=manual), Ground.MANUAL if manual else None
-    # Never far outside of what the transmitter can say: that was a fault of the signal, or somebody else's frame
+    # Never far outside of what the transmitter can say: that was a fault of the signal, or somebody else's frame, but
+    # not where pv swings there and on: of a loop out of control the fit can tell, and nothing else ends that
     low, high = pv_range
     room = RANGE_ROOM * (high - low)
     worst = max((sample.pv for sample in samples), key=lambda pv: max(low - pv, pv - high))
-    if not low - room <= worst <= high + room:
+    swings = len(response.peaks) > 1 and abs(response.peaks[-1].e) >= SWINGS_ON * abs(response.peaks[0].e)
+    swings = swings and float(np.max(np.abs(np.diff(window.pv)))) <= JUMPS * float(np.ptp(window.pv))
+    if not (low - room <= worst <= high + room or swings):
         yield AdmissionNumbers(pv_worst=worst, pv_low=low, pv_high=high), Ground.OUT_OF_RANGE
     # Telemetry complete, even in time, and new at every sample
     steps = np.diff(window.t_s) / window.sample_time_s

@@ -218,7 +218,11 @@ def test_pv_may_stand_a_little_outside_its_range() -> None:
     samples = swing()  # up to 1.307
     narrow = (-1.0, 1.2)
     assert admit(Window.of(samples), samples, found(samples), AdmissionSettings(), pv_range=narrow).admitted
+    swings_on = replace(found(samples), peaks=(Peak(30.0, 1.0), Peak(48.0, -1.0)))  # nothing but a fit ends that
+    for response, is_admitted in ((found(samples), False), (swings_on, True)):
+        admission = admit(Window.of(samples), samples, response, AdmissionSettings(), pv_range=(-0.1, 0.9))
+        assert admission.admitted is is_admitted
     samples = changed(samples, range(61, 62), pv=-1.4)
-    admission = admit(Window.of(samples), samples, found(samples), AdmissionSettings(), pv_range=narrow)
+    admission = admit(Window.of(samples), samples, swings_on, AdmissionSettings(), pv_range=narrow)
     said = "pv reached -1.4, far outside its range of -1 to 1.2: a sensor or scaling error, or a loop out of control"
     assert admission.sentence == said
