@@ -127,7 +127,7 @@ def _factored(roots: tuple[float, ...], bandwidth: float) -> LoadModel:
     if len(inside) > 2:
         e, b, a = inside
         side = cmath.sqrt(b * b - 4.0 * a * e)
-        each += [(side - b) / (2.0 * a), (-side - b) / (2.0 * a)]
+        each += [-(b + side) / (2.0 * a), -2.0 * e / (b + side)]  # no difference of two that are alike
     else:
         each.append(complex(-inside[0] / inside[1]))
     bottom = [complex(1.0)]

@@ -43,7 +43,7 @@ from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.gains import PidGains
 
 
-@pytest.mark.parametrize("lag", [3.0, 33.0, math.inf, -16.0])
+@pytest.mark.parametrize("lag", [0.03, 3.0, 33.0, math.inf, -16.0])
 @pytest.mark.parametrize("bandwidth", [0.05, 0.4])
 @pytest.mark.parametrize("order", [AT_PV, VALUE, SLOPE])
 def test_the_filter_factors_the_spectrum_of_load_and_noise(lag: float, bandwidth: float, order: int) -> None:
