@@ -295,7 +295,7 @@ def update(
 
 
 def _told(logs: FloatArray) -> FloatArray:
-    """ln of what a window tells of each process, which it may be an odd one, that tells nothing of."""
+    """ln of what a window tells of each process. It may be an odd one, which tells nothing."""
     part = np.exp(logs - float(np.max(logs)))
     return np.asarray(np.log((1.0 - ODD) * part + ODD * float(np.mean(part))))
 
@@ -355,7 +355,7 @@ def heard(book: Book, sure: float, *, tone: bool) -> Book:
 def with_response(book: Book, window: Window, estimate: ModelEstimate) -> Book:
     """The book with the fit of a response: loads are steps, as likely before it as one that wanders.
 
-    Where a load wanders, nothing is added; where steps explain the response better, that stands for the process.
+    Where a load wanders, nothing is added; where steps explain the response better, the fit tells the process.
     """
     record, n = Prepared.at(window, book.dt_s), len(window.pv)
     if len(record.pv) < FEWEST_ROWS:
@@ -368,14 +368,13 @@ def with_response(book: Book, window: Window, estimate: ModelEstimate) -> Book:
         return book
     by_steps = lead / T_LOADS - apart(estimate.best.log, T_LOADS, book.unit, book.dt_s)[kept] / 2.0
     best, under = float(np.max(walk)), {0: walk, BY_ALL: walk} | {ANSWERS + 1 + i: one for i, one in enumerate(orders)}
-    both = []
-    for logs, _ in (_logs(book.levels), _logs(book.whole)):
-        for plane, one in under.items():
-            entered = _told(TEMPER / T_LOADS * (one[kept] - best))
-            either = np.logaddexp(entered, by_steps)
-            logs[plane] += _told(either) + float(np.max(either)) - entered  # beside a tone nothing is added
-        both.append(_levels(logs, kept))
-    return replace(book, levels=both[0], whole=both[1])
+    added = np.zeros((PLANES[0], len(by_steps)))  # beside a tone nothing
+    for plane, one in under.items():
+        entered = _told(TEMPER / T_LOADS * (one[kept] - best))
+        either = np.logaddexp(entered, by_steps)
+        added[plane] = _told(either) + float(np.max(either)) - entered
+    levels, whole = (_levels(_logs(known)[0] + added, kept) for known in (book.levels, book.whole))
+    return replace(book, levels=levels, whole=whole)
 
 
 def _beside_a_tone(weights: FloatArray, told: float) -> FloatArray:

@@ -58,6 +58,9 @@ def test_the_nearest_process_of_the_grid_is_the_fit_itself(
     assert np.all(np.diff(beside[: gain + 1]) < 0)
     wide = apart(LogModel(parameters_of(model), 0.1 * np.eye(d), sign, model.type), 10.0, 4.0, 2.0)
     assert np.median(wide) < 0.1 * np.median(far), "what the record does not tell, it does not say"
+    outside = replace(model, k=1e4 * model.k)
+    far = apart(LogModel(parameters_of(outside), 1e-4 * np.eye(d), sign, model.type), 10.0, 4.0, 2.0)
+    assert far.min() > 100.0, "the last gain of the grid stands for none a hundred times as large"
 
 
 def stepped(seed: int, times: float) -> Window:
