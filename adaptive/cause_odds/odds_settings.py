@@ -42,8 +42,8 @@ class OddsSettings:
         loops in order or behind a valve under real loads none had over 0.53; benchmarks/world, seeds 11201 to 12206).
         loads_odds : the same for more by loads alone, and for less where an oscillation lasts and no setpoint step was
         made; 0.7 to 0.97, default 0.85, as on line (BookSettings.less_odds; of 28 good loops under a load that swings
-        in a narrow band four had 0.6 to 0.75, two more). moved : share of the setpoint in what moves the records from
-        which it is not loads alone; 0.05 to 0.3, default 0.1.
+        in a narrow band four had 0.6 to 0.75, two had more). moved : share of the setpoint in what moves the records
+        from which it is not loads alone; 0.05 to 0.3, default 0.1.
     most_valve : odds of a valve up to which settings are given; 0.05 to 0.3, default 0.25.
     identified_ms, identified_most : Ms that the settings of a model with a drift may not have, and on what share of the
         odds; 1.8 to 4, default 2.5, and 0.05 to 0.5, default 0.3 (of 504 drawn loops, sets that held had it on 26 % at

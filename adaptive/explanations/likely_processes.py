@@ -163,9 +163,7 @@ def expected_cost(likely: LikelyProcesses, gains: PidGains, settings: WorthSetti
 
 
 def harmless(weights: FloatArray, now: FloatArray, new: FloatArray, settings: WorthSettings) -> bool:
-    """Whether next to no process comes out badly by a change: where as few more are bad already, those do not count.
-    now, new : Ms on each.
-    """
+    """Whether a change makes a bad loop of next to no process, and few are bad after it. now, new : Ms on each."""
     bad = new > settings.ms_bad
     made, lost = (float(weights @ one) for one in (bad & (now <= settings.ms_bad), np.isinf(new) & ~np.isinf(now)))
     in_all = float(weights @ bad)

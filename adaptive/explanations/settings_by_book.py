@@ -203,7 +203,7 @@ def worth_of(
     """What a change is worth, ln. saves : on each process. tone : Book.untold_tone. faster : of `faster`.
 
     More action goes on trial, which bounds what it may cost on a process: unlikely ones on which it is unstable do not
-    outweigh what it saves on the others. Less action saves nothing where a tone moves the loop, but is slower.
+    outweigh what it saves on the others. Where a tone moves the loop, less action saves nothing and is slower.
     """
     expected = float(drawn.weights @ saves)
     bounded = float(drawn.weights @ np.clip(saves, -settings.most, settings.most))

@@ -443,8 +443,8 @@ def _proved_by_all_samples(found: Findings, own: Outcome, seen: AllSamples) -> O
         return None
     # Limits may leave a part of what was chosen that is worth nothing, or less: an action held, the other one cut
     before, after = (costs(drawn, one, settings.book.cost)[0] for one in sets)
-    slower = faster(*sets)
-    worth = worth_of(drawn, before - after, settings.book, more=not less, tone=book.untold_tone, faster=slower)
+    saves, sped = before - after, faster(*sets)
+    worth = worth_of(drawn, saves, settings.book, more=not less, tone=book.untold_tone, faster=sped)
     if worth < settings.book.worth * proof.step:
         return None
     cause, odds, what = _cause_of(told, book, record.in_force, proof.gains, settings.book)
