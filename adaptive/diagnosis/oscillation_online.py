@@ -84,9 +84,12 @@ class SwingSettings:
 def swings(response: Response, settings: SwingSettings) -> bool:
     """Whether a response that no setpoint step began hardly decays: by its damping, or, of two peaks, its overshoot.
 
-    Of a clean decay overshoot and damping are equal; a tone that is slower than was waited has no third peak yet.
+    Of a clean decay overshoot and damping are equal; a tone that is slower than was waited has no third peak yet. A
+    first peak that is far smaller than the second is the wrong way of an inverse response, and none of the swing's.
     """
-    decay = response.overshoot if response.damping is None else response.damping
+    first, second, *_ = (*(abs(peak.e) for peak in response.peaks), 0.0, 0.0)
+    own = replace(response, peaks=response.peaks[first < settings.damping * second :])
+    decay = own.overshoot if own.damping is None else own.damping
     return not (response.sp_changed or response.taken_over) and decay is not None and decay > settings.damping
 
 

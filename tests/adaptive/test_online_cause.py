@@ -69,6 +69,9 @@ def samples(errors: Iterable[float], *, limited: int = 0, revision: int = 0) -> 
         (response(1.0, -0.9), True),
         (response(1.0, -0.2), False),
         (response(1.0), False),
+        (response(0.1, -0.9), False),  # the first peak is an inverse response's wrong way
+        (response(0.1, -0.9, 0.2), False),
+        (response(0.1, -0.9, 0.8), True),
     ],
 )
 def test_a_load_response_that_hardly_decays_swings(found: Response, expected: bool) -> None:
