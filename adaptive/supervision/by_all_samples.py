@@ -283,7 +283,8 @@ def _doubt(
 def _likelier_by_steps(found: Findings, book: Book) -> bool:
     """Whether a clear response, or one that agrees with what is known, is likelier by its fit, loads being steps, than
     by every process of the book's grid under a load that wanders, with or without a tone from outside: by its samples,
-    weighed as in the book, as often as clear ones agreed, and by how seldom a window is an odd one.
+    weighed as in the book, as often as clear ones agreed, by how seldom a window is an odd one, and by the odds that no
+    tone moves the loop: of a tone's waves steps make a process that swings.
     """
     learned, record = found.learned, found.record
     if learned is None or record.crossed or found.joined or not (found.clear or is_known(found, learned)):
@@ -297,7 +298,7 @@ def _likelier_by_steps(found: Findings, book: Book) -> bool:
     likelihood = each - np.array(tone.prices)[:, None, None, None] / TEMPER
     lead = lead_of_steps(left, len(estimate.load_times_s), n, window, likelihood)
     alike = max(found.excitation_now.clear, 1) if learned.agreement is Agreement.AGREES else 1
-    return alike * lead / TEMPER > math.log((1.0 - ODD) / ODD)
+    return alike * lead / TEMPER > math.log((1.0 - ODD) / ODD / max(1.0 - book.tone, ODD))
 
 
 NOT_SHOWN = "no clear setpoint response has shown that"

@@ -772,13 +772,17 @@ def test_a_fit_that_is_likelier_than_every_process_of_the_book_is_not_objected_t
 
 
 @pytest.mark.parametrize(("away", "known"), [(False, False), (True, False), (True, True)])
-@pytest.mark.parametrize(("lead", "alike", "dropped"), [(12.0, 1, True), (30.0, 1, False), (12.0, 3, False)])
+@pytest.mark.parametrize(
+    ("lead", "alike", "tone", "dropped"),
+    [(12.0, 1, 0.1, True), (30.0, 1, 0.1, False), (12.0, 3, 0.1, False), (30.0, 1, 0.99, True), (60.0, 1, 0.99, False)],
+)
 def test_a_clear_response_counts_against_the_book_as_a_window_of_it_and_with_those_that_agree(
-    monkeypatch: pytest.MonkeyPatch, lead: float, alike: int, *, away: bool, known: bool, dropped: bool
+    monkeypatch: pytest.MonkeyPatch, lead: float, alike: int, tone: float, *, away: bool, known: bool, dropped: bool
 ) -> None:
     """One took a loop from J 1.2 to 12, against 99 % of four windows; four of them left another one at Ms 2.3, where
-    the book told a process that runs away.
+    the book told a process that runs away. Under a tone one took another from Ms 1.34 to 9.25.
     """
+    monkeypatch.setattr(book_of_samples.Book, "tone", property(lambda _: tone))
     monkeypatch.setattr(by_all_samples, "lead_of_steps", lambda *_: lead)
     monkeypatch.setattr(by_all_samples, "lets_go", lambda *_: away)
     found = put_to_the_book(1.0, 0.7, 0.5, clear=recorded(GOOD, 5), explained=0.99, alike=alike, known=known)
