@@ -119,6 +119,8 @@ def table(scores: list[Score]) -> list[str]:
     false = [s for s in scores if s.true not in {"sluggish", "aggressive"} and not math.isnan(s.ms_after)]
     lines.append(f"change of gains where none is due  {share(len(false), n - len(due))}")
     if given:
+        away = sum((s.ms_after < s.ms_before) == (s.true == "sluggish") for s in given)
+        lines.append(f"of those where due, the wrong way  {share(away, len(given))}")
         over = sum(s.ms_after > 2.1 for s in given)
         lines.append(f"Ms after: largest {max(s.ms_after for s in given):.2f}, over 2.1 in {over} of {len(given)}")
     for true in {s.true: None for s in scores}:
@@ -126,11 +128,9 @@ def table(scores: list[Score]) -> list[str]:
         lines.append(f"{true:12} {', '.join(f'{said} {count}' for said, count in counts.most_common())}")
     proposed = [s for s in scores if s.then]
     if proposed:
-        before = sum(s.said == s.true for s in proposed)
+        before, after = (sum(getattr(s, which) == s.true for s in proposed) for which in ("said", "then"))
         lines.append(f"where a test was proposed: right before   {share(before, len(proposed))}")
-        lines.append(
-            f"                           right after it {share(sum(s.then == s.true for s in proposed), len(proposed))}"
-        )
+        lines.append(f"                           right after it {share(after, len(proposed))}")
         final = sum((s.then or s.said) == s.true for s in scores)
         lines.append(f"all, after the tests that were proposed   {share(final, n)}")
     cpu = sorted(s.cpu_s for s in scores)
