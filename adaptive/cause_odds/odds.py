@@ -154,7 +154,7 @@ def _final(window: Window, found: RecordVerdict) -> bool:
     if len(window.t_s) < FEWEST_RECORD_SAMPLES or (holds is not None and holds.share >= DiagnosisSettings().held_share):
         return True
     if found.fits or told.cause != Cause.UNKNOWN or told.confidence < FINAL:
-        return told.cause in {Cause.SATURATION, Cause.NOISE}
+        return told.cause == Cause.SATURATION or (told.cause == Cause.NOISE and not found.fits)
     return record_condition(window).condition != Condition.MOVING_SETPOINT
 
 

@@ -442,3 +442,11 @@ def test_a_sluggish_loop_without_settings_is_told_why() -> None:
     rough = diagnose_records([window], None, direction=1, rough=PidGains(0.12, 0.12 / 20.0)).found.diagnosis
     assert rough.cause == Cause.SLUGGISH
     assert "No settings: the active settings are only known roughly" in rough.reason
+
+
+def test_a_loop_that_swings_within_its_noise_is_not_noise_alone() -> None:
+    """A level with too little gain for its integral action, k' Kc tau_I 0.23: a fit leaves the swing to the noise."""
+    rng, gains, n = np.random.default_rng(7), PidGains(1.0, 0.22), 1000
+    load, noise = 0.02 * np.cumsum(rng.standard_normal(n)), rng.standard_normal(n)
+    found = diagnose_records([pi_loop(gains, Lag(200.0, 1, 10.0), np.zeros(n), noise, load)], gains).found.diagnosis
+    assert found.causes["aggressive"] + found.causes["slow_integrating"] > 0.6
