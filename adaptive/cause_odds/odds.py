@@ -416,8 +416,9 @@ def _verdict(
     # an oscillation lasts and no setpoint step moved the loop: a load that oscillates may be all of it
     alone = not any(setpoint_changes(w) for w, _ in open_ones) and any(_lasts(f) for _, f in open_ones)
     worth, none = None, "" if sure else UNKNOWN_GAINS
+    by_loads = walk.moved < settings.moved
     if odds is not None and open_to_odds:
-        worth, none = _settings(causes, odds, walk.moved < settings.moved, alone, settings)
+        worth, none = _settings(causes, odds, by_loads, alone, settings)
     if by_fit and (told.tuning is not None or worth is None):
         return OddsFound(replace(told, diagnosis=replace(told.diagnosis, confidence=p, causes=shares)), odds)
     evidence = {name: value for name, value in told.diagnosis.evidence.items() if name not in OF_ONE_MODEL}
@@ -426,7 +427,8 @@ def _verdict(
         tone = told.fits.get("external")
         swing_s = tone_period_s(tone) if math.isnan(walk.period_s) and tone is not None else walk.period_s
         evidence |= _ms_range(odds) | ({} if math.isnan(swing_s) else {"swing_s": swing_s})
-        if p < settings.undecided or (cause in TUNING_CAUSES and worth is None):
+        # before gains change a step confirms what loads alone told
+        if p < settings.undecided or (cause in TUNING_CAUSES and (worth is None or by_loads)):
             test = _next(causes, odds, walk, open_ones[0][0], settings)
     if cause == Cause.NONLINEAR:
         evidence, test = evidence | {"gain_ratio": walk.along.ratio}, None
