@@ -4,12 +4,12 @@ A long record is compared in windows of one length, averages over a few rows whe
 setpoint makes co do says more than loads do. With s its share in what moves a record, W the likelihood under a load
 that wanders (wandering_load.py) and A that of the answers beside a load of any spectrum (any_load.py),
 
-    ln L/T = (1 - s + s q)/T_WALK ln W + s/T_SETPOINT ln A
+    ln L/T = (1 - s + s q)/T_LOADS ln W + s/T_SETPOINT ln A
 
 Real loads swing and pause as well: a walk leaves a rest of them, which the inverse of the controller explains, but not
 what the setpoint makes co do. By loads alone A would say nothing, for the load may then be everything. A alone says too
 little of a slow process under noise, for which an autoregression is too short. So the walk counts there as far as it
-explains the record: q = 1/(1 + exp((lead - ORDER)/T_WALK)), the lead that of any spectrum over the walk, which ORDER
+explains the record: q = 1/(1 + exp((lead - ORDER)/T_LOADS)), the lead that of any spectrum over the walk, which ORDER
 numbers more gain by chance (Akaike 1974).
 """
 
@@ -26,6 +26,7 @@ from retuner.adaptive.explanations.process_grid import EVERY_LAG, gain_unit, sha
 from retuner.adaptive.explanations.wandering_load import (
     LOADS_OF_BOOK,
     MOST_SAMPLES,
+    T_LOADS,
     T_SETPOINT,
     TEMPER,
     Prepared,
@@ -90,7 +91,7 @@ def _weighed(record: Prepared, walk: FloatArray, share: float, direction: int, u
     from noise down to MODEL_ERROR of pv's range, for none of the grid is the loop's.
     """
     if not share:
-        return TEMPER / T_WALK * walk
+        return TEMPER / T_LOADS * walk
     asked = np.zeros((len(shapes(EVERY_LAG)), *walk.shape[1:]), dtype=bool)
     asked[: len(walk)] = True
     coarse = replace(record, resolution=max(record.resolution, MODEL_ERROR * float(np.ptp(record.pv))))
@@ -99,7 +100,7 @@ def _weighed(record: Prepared, walk: FloatArray, share: float, direction: int, u
         answers, walks = TEMPER * walk, 1.0
     else:
         walks = _walks(record, walk, answers, direction, unit)
-    return TEMPER * (1.0 - share + share * walks) / T_WALK * walk + share / T_SETPOINT * answers
+    return TEMPER * (1.0 - share + share * walks) / T_LOADS * walk + share / T_SETPOINT * answers
 
 
 def _walks(record: Prepared, walk: FloatArray, answers: FloatArray, direction: int, unit: float) -> float:
@@ -112,13 +113,10 @@ def _walks(record: Prepared, walk: FloatArray, answers: FloatArray, direction: i
     best = TEMPER * float(np.max(walk)) + (TEMPER - 1.0) * math.log(len(LOADS_OF_BOOK))  # what summing over loads cost
     left = math.log(record.size / n) - 2.0 * best / n
     lead = rows / 2.0 * (left + math.log(rows - ORDER)) + any_spectrum * rows / (rows - ORDER)
-    return 1.0 / (1.0 + math.exp(min((lead - ORDER) / T_WALK, MOST_LEAD)))
+    return 1.0 / (1.0 + math.exp(min((lead - ORDER) / T_LOADS, MOST_LEAD)))
 
 
 MOST_LEAD = 50.0  # beyond it there is no walk at all
-T_WALK = 8.0
-"""What ln W is divided by before it counts; 5 to 11. Of 270 loops under real loads (benchmarks/world, seeds 12401 to
-12404) what was told at 85 % and more with 11 was right in 90 of 90; the log score is best from 5 to 7."""
 
 
 def windows_of(window: Window, dt_s: float, most: int) -> list[Window]:
