@@ -24,12 +24,12 @@ from retuner.adaptive.explanations.any_load import ORDER, log_likelihood_of_answ
 from retuner.adaptive.explanations.jumping_load import with_jumps
 from retuner.adaptive.explanations.process_grid import EVERY_LAG, gain_unit, shapes
 from retuner.adaptive.explanations.wandering_load import (
-    LOADS_OF_BOOK,
     MOST_SAMPLES,
     T_LOADS,
     T_SETPOINT,
     TEMPER,
     Prepared,
+    best_a_row,
     setpoint_share,
     temper,
 )
@@ -109,10 +109,9 @@ def _walks(record: Prepared, walk: FloatArray, answers: FloatArray, direction: i
     for one in (walk, answers):
         asked[np.unravel_index(int(np.argmax(one)), one.shape)] = True
     any_spectrum = float(np.max(log_likelihood_of_answers(record, direction, unit, asked)))
-    n, rows = len(record.pv), len(record.pv) - ORDER
-    best = TEMPER * float(np.max(walk)) + (TEMPER - 1.0) * math.log(len(LOADS_OF_BOOK))  # what summing over loads cost
-    left = math.log(record.size / n) - 2.0 * best / n
-    lead = rows / 2.0 * (left + math.log(rows - ORDER)) + any_spectrum * rows / (rows - ORDER)
+    rows = len(record.pv) - ORDER
+    freedom = rows - ORDER
+    lead = rows * (any_spectrum / freedom + 0.5 * math.log(freedom / len(record.pv)) - best_a_row(record, walk))
     return 1.0 / (1.0 + math.exp(min((lead - ORDER) / T_LOADS, MOST_LEAD)))
 
 
