@@ -39,7 +39,8 @@ class OddsSettings:
     smooths : prior that a recorder has smoothed pv and co by averages or lines; 0.02 to 0.3, default 0.1.
     most : no probability is told larger; 0.9 to 0.99, default 0.97: more was never counted.
     due_odds : odds of the causes that ask for a change from which settings are given; 0.5 to 0.9, default 0.6 (of 290
-        loops in order or behind a valve under real loads none had over 0.53; benchmarks/world, seeds 11201 to 12206).
+        loops in order or behind a valve under real loads none had over 0.53; benchmarks/world, seeds 11201 to 12206;
+        since T_LOADS is 8, two of 60 were given some: 12413, 12417).
         loads_odds : the same for more by loads alone, and for less where an oscillation lasts and no setpoint step was
         made; 0.7 to 0.97, default 0.85, as on line (BookSettings.less_odds; of 28 good loops under a load that swings
         in a narrow band four had 0.6 to 0.75, two had more). moved : share of the setpoint in what moves the records
@@ -48,7 +49,8 @@ class OddsSettings:
     identified_ms, identified_most : Ms that the settings of a model with a drift may not have, and on what share of the
         odds; 1.8 to 4, default 2.5, and 0.05 to 0.5, default 0.3 (of 504 drawn loops, sets that held had it on 26 % at
         the most, those that did not on 37 % and more).
-    undecided : the most probable cause has less than this where a test is proposed; 0.7 to 0.95, default 0.9.
+    undecided : a test is proposed where the most probable cause has less than this, and before loads alone change
+        gains; 0.7 to 0.95, default 0.9.
     most_held : rows for which a coarse pv stands still that are averaged into one; 1 to 20, default 8.
     most_windows : windows of a long record, or of several, that are compared; 2 to 20, default 4 (of each record).
     """

@@ -156,6 +156,14 @@ def test_open_odds_come_with_a_test_and_sure_ones_without() -> None:
     assert sure.next is None
 
 
+def test_a_change_that_loads_alone_ask_for_comes_with_a_test_however_sure() -> None:
+    """One sluggish loop in sixty was told aggressive with 93 %, and its action cut."""
+    found = diagnose_records([loop(5.2, seed=3)], PidGains(5.2, 0.26), settings=OddsSettings(undecided=0.75))
+    assert found.settings is not None
+    assert found.found.diagnosis.confidence > 0.75
+    assert found.found.diagnosis.next is not None
+
+
 def test_a_long_record_is_cut_into_windows_over_all_of_it() -> None:
     window = loop(n=5000)
     parts = windows_of(window, 1.0, 4)
