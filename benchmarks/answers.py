@@ -47,8 +47,7 @@ from retuner.diagnosing import diagnose
 ROOT = Path(__file__).resolve().parents[1]
 DEMO = "examples/oven.toml"
 DEMO_SEEDS = (1, 101)
-SEED = 12
-"""Seed of every record drawn here, and of the batch's starts."""
+SEED = 12  # Seed of every record drawn here, and of the batch's starts
 RECORDS = 60
 BATCH = {"opened": (9, 0), "defaults": (9, 4)}
 """Every which run of the batch, from which on: with limits of a change at x8, and with the default ones."""
@@ -57,8 +56,7 @@ ROWS = {"injected": (injected, 2), "changes": (changes, 1), "harm": (harm, 1)}
 UNSAID = frozenset({"session", "end"})
 """Rows of a ledger that name versions, files and the configuration; what they say of the bus log is kept apart."""
 EXAMPLES = 3
-SHOWN = 100
-"""Characters of a value in an example."""
+SHOWN = 100  # Characters of a value in an example
 
 Answer = dict[str, Any]
 

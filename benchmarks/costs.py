@@ -53,12 +53,10 @@ HISTORY = Path(__file__).with_suffix(".toml")
 WORSE = 1.1
 SEED, RECORDS = 4040, 8
 HELP = ("", "run", "report", "approve", "replay", "experiment", "identify", "diagnose", "audit", "schedule")
-SETTLED_SAMPLES = 136
-"""After so many no stamp of the lease is waited for."""
+SETTLED_SAMPLES = 136  # After so many no stamp of the lease is waited for
 QUIET_FROM, QUIET = 300, 100
 """Samples of the oven before its first step, when its host has settled, and how many are looked at."""
-BURST, BURSTS = 64, 500
-"""Frames between two looks at the bus, and how often."""
+BURST, BURSTS = 64, 500  # Frames between two looks at the bus, and how often
 
 
 def spent(work: Callable[[], object]) -> float:

@@ -14,8 +14,7 @@ import numpy as np
 from retuner import PidController, PidGains
 
 SEED, SAMPLES, DT_S = 4040, 4000, 0.5
-DECIDING_S = 0.005
-"""A step that takes longer decided something."""
+DECIDING_S = 0.005  # A step that takes longer decided something
 
 
 def main() -> None:

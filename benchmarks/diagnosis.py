@@ -30,8 +30,7 @@ from retuner import diagnosing
 from retuner.schedule.gains import PidGains
 
 MS_LIMIT, MS_OVER_BEST = 1.8, 1.03
-PRODUCT = (3.8, 4.2)
-"""k' Kc tau_I after the slow-oscillation rule."""
+PRODUCT = (3.8, 4.2)  # k' Kc tau_I after the slow-oscillation rule
 
 
 class Score(NamedTuple):

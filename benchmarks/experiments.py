@@ -41,8 +41,7 @@ from retuner.session.running import nothing
 
 SAMPLES_PER_THETA = 8
 AMPLITUDE = 10.0
-OVERSHOOT_GAIN = 1.6
-"""kc0 over SIMC's Kc: about 30 % overshoot on first-order processes."""
+OVERSHOOT_GAIN = 1.6  # kc0 over SIMC's Kc: about 30 % overshoot on first-order processes
 CHANNELS = count()
 
 

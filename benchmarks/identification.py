@@ -33,8 +33,7 @@ from retuner.schedule.gains import PidGains
 
 MS_LIMIT, MS_OVER_BEST, J_LIMIT = 1.8, 1.03, 1.25
 TWO_SIGMA = 2.0
-KNOWN = 0.25
-"""Standard deviation of ln Kc with which settings may come out in spec."""
+KNOWN = 0.25  # Standard deviation of ln Kc with which settings may come out in spec
 STRUCTURES = {
     "first": "fopdt",
     "second": "sopdt",

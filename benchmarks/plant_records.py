@@ -38,12 +38,9 @@ from retuner.schedule.gains import PidGains
 BoolArray = npt.NDArray[np.bool_]
 STANDS = "does not move while co moves"
 MS_MOST = 2.5
-STEP_SHARE = 0.05
-"""A setpoint step of less than this share of pv's range shows nothing."""
-TOLD = 0.05
-"""A cause less probable than this is not printed."""
-START_LAGS, START_DELAYS = (0.5, 3.0, 20.0), (0.0, 1.0, 5.0)
-"""Starts of the plain fit, in samples."""
+STEP_SHARE = 0.05  # A setpoint step of less than this share of pv's range shows nothing
+TOLD = 0.05  # A cause less probable than this is not printed
+START_LAGS, START_DELAYS = (0.5, 3.0, 20.0), (0.0, 1.0, 5.0)  # Starts of the plain fit, in samples
 
 
 @dataclass(frozen=True, slots=True)

@@ -67,8 +67,7 @@ def picture(row: Row, source: Path, folder: Path) -> None:
         image.convert("RGB").quantize(palette=palette, dither=Image.Dither.NONE).save(path, optimize=True)
 
 
-SHADES = 6
-"""Shades of each line's colour: what is drawn smoothly fades into white."""
+SHADES = 6  # Shades of each line's colour: what is drawn smoothly fades into white
 
 
 def agreement(rows: list[Row], eyes: dict[str, dict[str, str]]) -> list[str]:

@@ -23,8 +23,7 @@ from retuner.adaptive.signals.sample import Window
 from retuner.schedule.gains import PidGains
 from retuner.schedule.pid import law, start, step
 
-FAST = 10
-"""Samples of the fast controller per recorded one."""
+FAST = 10  # Samples of the fast controller per recorded one
 Columns = np.ndarray
 
 

@@ -19,8 +19,7 @@ from world.process import FREQUENCIES, FloatArray, TrueProcess
 from retuner import PidGains, diagnose
 
 NOISES, WALKS, DEADS = (0.0, 1e-6, 1e-4, 1e-3, 1e-2), (0.0, 0.005, 0.02, 0.05), (0, 1, 2, 4, 7, 12, 20, 40)
-LOOSE, TIGHT = 1.65, 2.15
-"""Ms below which a loop is not tight, and above which it is."""
+LOOSE, TIGHT = 1.65, 2.15  # Ms below which a loop is not tight, and above which it is
 INTEGRATED = 20.0  # samples in which a load moves an integrator by itself
 MOVES = 4  # of a valve, at least, for a record to show it
 

@@ -46,8 +46,7 @@ class Acting(StrEnum):
 
 
 DEFAULT = "kc-s"
-NAMES = (*(f"{gain}-{times}" for gain in GAINS for times in TIMES), "parallel")
-"""Every name of units without its form."""
+NAMES = (*(f"{gain}-{times}" for gain in GAINS for times in TIMES), "parallel")  # Every name of units without its form
 SIGNED = {Quantity.KP, Quantity.XP, Quantity.KI, Quantity.KI_TIME, Quantity.KD}
 """Numbers that change their sign with the controller's action."""
 

@@ -104,8 +104,7 @@ _RATES = ("IGain", "/min", 1.0 / _MINUTE), ("DGain", " min", _MINUTE)
 _DELTAV = _dials(_gain("GAIN"), ("RESET", " s", 1.0), ("RATE", " s", 1.0))
 _HONEYWELL = _dials(_gain("K"), ("T1", " min", _MINUTE), ("T2", " min", _MINUTE))
 _COPTER = _dials(_gain("P", of_span=False), ("I", "/s", 1.0), ("D", " s", 1.0), apart=True)
-NO_DERIVATIVE = Dial("", Quantity.KD, "")
-"""Stands where a controller has no derivative action."""
+NO_DERIVATIVE = Dial("", Quantity.KD, "")  # Stands where a controller has no derivative action
 CONTROLLERS = {
     "deltav-standard": NamedController(_DELTAV, Form.IDEAL),
     "deltav-series": NamedController(_DELTAV, Form.SERIES),

@@ -27,8 +27,7 @@ from retuner.schedule.table import GainTable, Lookup
 
 HEADER = re.compile(r"\s*(\[\[?)\s*([A-Za-z0-9_-]+)\s*\]")
 KEY = re.compile(r"\s*([A-Za-z0-9_-]+)\s*=")
-SHOWN = 40
-"""How many characters of a refused value a message shows."""
+SHOWN = 40  # How many characters of a refused value a message shows
 
 Lines = dict[tuple[str, str], int]  # Line, counted from 1, of a key in a section; the key "" is the section's header
 

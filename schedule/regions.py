@@ -33,8 +33,7 @@ from retuner.schedule.late_dataclass import InitVar, dataclass, field
 # interpolates. A value that is not finite (a failed sensor, a signal that is stale) leaves both where they are.
 
 CAN = "can"
-VARIABLES = ("sp", "pv", "co", CAN)
-"""Setpoint, process value, controller output, or another signal on the bus."""
+VARIABLES = ("sp", "pv", "co", CAN)  # Setpoint, process value, controller output, or another signal on the bus
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,8 +24,7 @@ from retuner.schedule.late_dataclass import dataclass, field, replace
 from retuner.schedule.regions import Regions
 
 GAIN_NAMES = ("kp", "ki", "kd")
-LEAST_SHARE = 1e-12
-"""A remainder below this share of what is wanted is rounding (a few thousand spacings of doubles)."""
+LEAST_SHARE = 1e-12  # A remainder below this share of what is wanted is rounding (a few thousand spacings of doubles)
 
 
 class Lookup(StrEnum):

@@ -31,8 +31,7 @@ from retuner.schedule.gains import (
 from retuner.schedule.late_dataclass import dataclass
 
 SINGLE_MAX = 3.4028234663852886e38
-END_ROUNDING = 1e-6
-"""Share of a step by which an end may miss the step that it is meant to be."""
+END_ROUNDING = 1e-6  # Share of a step by which an end may miss the step that it is meant to be
 SECONDS_PER_MINUTE = 60.0
 
 
@@ -51,8 +50,7 @@ class Quantity(StrEnum):
 
 PROPORTIONAL = (Quantity.KP, Quantity.XP)
 INTEGRAL = (Quantity.KI, Quantity.TN, Quantity.REPEATS)
-DERIVATIVE = (Quantity.KD, Quantity.TV)
-"""Numbers of devices; KI_TIME is of people's screens alone."""
+DERIVATIVE = (Quantity.KD, Quantity.TV)  # Numbers of devices; KI_TIME is of people's screens alone
 ACTIONS = {"proportional": PROPORTIONAL, "integral": INTEGRAL, "derivative": DERIVATIVE}
 
 

@@ -42,16 +42,14 @@ from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.late_dataclass import dataclass, replace
 
 DAY_S = 86_400.0
-GAP = 5.0
-"""Intervals longer than so many usual ones are gaps."""
+GAP = 5.0  # Intervals longer than so many usual ones are gaps
 MOST_LIKELY_DELAY = 3  # dead time in samples where none is known: plants are sampled about so finely
 BLOCKS, BLOCK = 8, 1_024  # parts of a long record from which its noise and grid are told, and their samples
 NOISE_OF_CO = 3.0  # moves of co within so many standard deviations of its noise are no turns
 STILL_MOST = 400  # samples of constant co that are a long stretch in a record of any length
 
 NO_WAVE = Regularity(0.0, 0.0, 0.0, 0.0)
-APART = np.abs(np.arange(LAGS)[:, None] - np.arange(LAGS))
-"""How far apart two lags are, shape (LAGS, LAGS)."""
+APART = np.abs(np.arange(LAGS)[:, None] - np.arange(LAGS))  # How far apart two lags are, shape (LAGS, LAGS)
 
 
 @dataclass(frozen=True, slots=True)

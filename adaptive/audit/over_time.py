@@ -15,8 +15,7 @@ from retuner.adaptive.signals.sample import FloatArray, Window, median
 from retuner.schedule.late_dataclass import dataclass, fields
 
 WEEK_S = 7 * DAY_S
-MONDAY_S = 4 * DAY_S
-"""The first Monday of the calendar that starts on 1970-01-01, a Thursday."""
+MONDAY_S = 4 * DAY_S  # The first Monday of the calendar that starts on 1970-01-01, a Thursday
 FEWEST_DAYS, FEWEST_WEEKS, MOST_WEEKS = 2, 2, 26
 """A record of less than two days has no course; from two weeks on it is told by week, beyond half a year by four."""
 FEWEST_SAMPLES = 100  # least number of samples of a part that is reported
@@ -116,8 +115,7 @@ WIDTHS = (4, 16, 64)  # widths of events that are looked for, in samples
 OF_A_WIDTH = 25
 """A stretch in widths of its event: the return from a load takes several, and what is usual must be seen as well."""
 LEAST_SCORE = 4.0
-EVENTS = 20
-"""Events of a width at most."""
+EVENTS = 20  # Events of a width at most
 SPREAD, LONG = 8, 1_024  # stretches that stand for the whole record, and their samples
 
 Stretch = tuple[int, int]  # first sample and number of samples

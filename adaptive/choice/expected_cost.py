@@ -49,8 +49,7 @@ from retuner.schedule.late_dataclass import dataclass, field, replace
 
 MOST_MODELS = 16  # Models, the most likely ones, over which a cost is expected
 UPSETS = (Upset(setpoint=1.0), Upset(load_step=1.0))
-FARTHEST = 50.0
-"""Where an exponential is 0 for every purpose here."""
+FARTHEST = 50.0  # Where an exponential is 0 for every purpose here
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,8 +21,7 @@ from retuner.adaptive.signals.sample import Window
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import asdict, dataclass
 
-ASKED, MOST_SAMPLES = 7, 4_000
-"""Processes that stand for all odds, and newest samples of a record that are replayed."""
+ASKED, MOST_SAMPLES = 7, 4_000  # Processes that stand for all odds, and newest samples of a record that are replayed
 OFF = 2.0  # how far a parameter's logarithm may be off, in standard deviations of what structures leave out
 PERCENT = (0.0, 100.0)  # limits of co where a record stays within them and none are known
 DOUBLED = -1.0  # an error that more than doubles counts as doubled where it is expected

@@ -27,8 +27,7 @@ BLOCKS = 30  # blocks of consecutive samples whose scores count as independent
 STRETCH = 0.1  # length of a stretch with its own constant in the level equation, as a share of the record
 SHORTEST_STRETCH = 64  # shortest stretch in samples
 MAD_TO_SIGMA = 1.4826
-OUTLIER = 6.0
-"""Remainders beyond so many (robust) standard deviations are moves that no law made."""
+OUTLIER = 6.0  # Remainders beyond so many (robust) standard deviations are moves that no law made
 OUTLIER_ROUNDS = 6  # rounds of leaving out outliers
 FILTER_STEP = 1e-3  # step of the derivative by the filter time, as a share of it
 EXACT = 1e-9  # remainders under this share of the movement are rounding of doubles

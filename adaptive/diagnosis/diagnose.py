@@ -119,8 +119,7 @@ def _as_recorded(window: Window, found: RecordVerdict, settings: DiagnosisSettin
 
 TOO_FEW = "{samples} samples are too few to separate movement from noise: {fewest} or more are needed"
 TOO_SHORT = "{samples} samples are fewer than a process and a tone beside it have unknowns"
-UNDECIDED = 0.5
-"""Confidence of an answer that leaves the cause open."""
+UNDECIDED = 0.5  # Confidence of an answer that leaves the cause open
 
 
 def _diagnosed(

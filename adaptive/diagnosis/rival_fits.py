@@ -94,8 +94,7 @@ def sharper(tone: Candidate) -> Candidate:
 
 
 FRESH_LAGS = (2.0, 8.0, 30.0, 120.0)
-FRESH_THETAS = (1.0, 4.0, 16.0)
-"""Samples in the lag and dead time that a process beside a tone is looked for with."""
+FRESH_THETAS = (1.0, 4.0, 16.0)  # Samples in the lag and dead time that a process beside a tone is looked for with
 FRESH_GAINS = (0.1, 0.3, 1.0, 3.0)  # gains tried for a process beside a tone, in ranges of pv over ranges of co
 
 

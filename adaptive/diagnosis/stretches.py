@@ -22,8 +22,7 @@ from retuner.adaptive.fit.record import setpoint_changes
 from retuner.adaptive.signals.sample import Window
 
 SAMPLES_A_CYCLE = 12
-CYCLES = 15.0
-"""Length of a stretch: ten to twenty show a cause, and drift little."""
+CYCLES = 15.0  # Length of a stretch: ten to twenty show a cause, and drift little
 CONDENSED = 2  # how many samples would become one before setpoint changes part a record
 CHANGES = 3  # setpoint changes of a stretch
 MOST_STRETCHES = 5

@@ -204,8 +204,7 @@ def factor_text(log: float) -> str:
 
 
 MOST_DIGITS = 6
-WHOLE = 10.0
-"""Factors from here on are shown without decimals."""
+WHOLE = 10.0  # Factors from here on are shown without decimals
 """Digits after which two factors are told as they are."""
 
 

@@ -21,8 +21,7 @@ from retuner.adaptive.signals.sample import Window
 
 SHORTEST = 150  # samples of a part
 MOST_PARTS = 8
-LEAD = 10
-"""Samples of a part before the setpoint moves in it, which show where the loop stood."""
+LEAD = 10  # Samples of a part before the setpoint moves in it, which show where the loop stood
 FEWEST_PARTS = 2
 MOST_APART = 1.0
 """Distance (coincident_loads.apart) between the joint estimate and that of a part by itself; the gain of each may be

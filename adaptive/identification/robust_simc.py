@@ -29,8 +29,7 @@ from retuner.schedule.gains import PidGains, series_kept
 from retuner.schedule.late_dataclass import dataclass, replace
 
 PI, PID = ControllerKind.PI, ControllerKind.PID
-BISECTIONS = 8
-"""Bisections for tau_c between its limits: to a few thousandths."""
+BISECTIONS = 8  # Bisections for tau_c between its limits: to a few thousandths
 SWINGS = 0.85
 """zeta under which a process counts as swinging by itself; over it SIMC's settings for two equal lags are as robust."""
 WALL = (0.9, 1.08)

@@ -162,8 +162,7 @@ def _far(best: Candidate) -> bool:
     return best.colour.std > WIDER_SEARCH_RATIO * best.fit.misfit.record.noise_std or bool(best.colour.ar)
 
 
-PARTS = 3
-"""Parts of a record whose own processes are starts for the whole."""
+PARTS = 3  # Parts of a record whose own processes are starts for the whole
 
 
 def _from_parts(window: Window, signs: tuple[int, ...], settings: StructureSettings, seen: CandidateList) -> None:

@@ -19,11 +19,9 @@ LONGEST_STEP_DAYS = 1 / 24
 LEAST_MILLISECONDS = 1e11
 DIGITS = (1.9e13, 2.2e13)
 MILLIAMPERES = (3.6, 21.0)
-LEAST_SPAN = 8.0
-"""co must use half of 4 to 20 to be taken for it."""
+LEAST_SPAN = 8.0  # co must use half of 4 to 20 to be taken for it
 FEWEST_COUNTS = 1000.0
-MOST_COUNTS = 65535.0
-"""Most counts: those of the widest converter in use, 16 bits."""
+MOST_COUNTS = 65535.0  # Most counts: those of the widest converter in use, 16 bits
 
 
 def doubtful_units(window: Window) -> tuple[str, ...]:

@@ -95,8 +95,7 @@ def phase_deg(pv: Tone, co: Tone, direction: int) -> float:
 
 FEWEST_CYCLES = 3  # cycles of a tone that is told by itself
 PADDED = 4
-PURE = 0.9
-"""Share of a signal's movement from which one sinusoid is what moves it."""
+PURE = 0.9  # Share of a signal's movement from which one sinusoid is what moves it
 
 
 def pure_tone_s(t_s: FloatArray, x: FloatArray) -> float | None:

@@ -153,8 +153,7 @@ def quantum(x: FloatArray) -> float:
 
 FEWEST_HELD = 5  # samples in a row without any change that count as held
 FEWEST_HOLDS = 3
-ALIKE = 0.7
-"""Share of the holds of each signal that must be holds of both."""
+ALIKE = 0.7  # Share of the holds of each signal that must be holds of both
 END = 1  # samples by which the ends of a hold of both may differ
 
 

@@ -42,16 +42,13 @@ from retuner.schedule.plain_values import plain_values
 STEP = 1.7
 """Ratio of neighbouring frequencies on the march; peaks of |S| are at least as wide unless they are at wc itself."""
 GROWTH = STEP - 1
-DELAY_STEP = 0.8
-"""Largest turn in rad of the dead time from one point to the next."""
+DELAY_STEP = 0.8  # Largest turn in rad of the dead time from one point to the next
 NEGLIGIBLE = 1e-6  # |L| below which 1 - |L| < |S| < 1 + |L| is 1 for every purpose
 CROSSOVER_STEP = 1e-6  # newton step in ln w^2 after which wc is right to its square, 1e-12
 MOST_NEWTON_CROSSOVER = 40
-CLOSE = 2e-4
-"""Newton step in ln w after which the value is right to its square, 4e-8, and with the correction to 1e-10."""
+CLOSE = 2e-4  # Newton step in ln w after which the value is right to its square, 4e-8, and with the correction to 1e-10
 MOST_NEWTON = 12
-BEYOND = 100.0
-"""A longer step leaves any bracket: where |S| is all but flat, its exponential would be no number."""
+BEYOND = 100.0  # A longer step leaves any bracket: where |S| is all but flat, its exponential would be no number
 WORTH = 1.2  # local minima of |1 + L| on the march up to this factor above the least one are refined too
 MOST_STEPS = 200  # points on the march before the general method is asked instead
 

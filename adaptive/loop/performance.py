@@ -41,8 +41,7 @@ AGREES = 0.05  # how far Simpson's rule may miss the change over a window that i
 
 
 ERROR, OUTPUT = 0, 1
-Point = tuple[float, float]
-"""A value and its rate."""
+Point = tuple[float, float]  # A value and its rate
 
 
 @dataclass(frozen=True, slots=True)
@@ -245,8 +244,7 @@ class Performance:
 
 
 NEVER = Variation(math.inf, math.inf)
-NEEDLESS_DELAY = 1e-5
-"""Dead time over the inverse of the highest gain crossover below which it counts as a lag."""
+NEEDLESS_DELAY = 1e-5  # Dead time over the inverse of the highest gain crossover below which it counts as a lag
 
 
 def performance(

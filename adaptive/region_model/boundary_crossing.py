@@ -64,8 +64,7 @@ from retuner.schedule.regions import Regions
 
 MOST_ROWS = 300  # rows of the record in the fit; longer ones are condensed
 ITERATIONS = 15
-BESIDE = 2.0
-"""Dead times from a setpoint step within which no load step is believed."""
+BESIDE = 2.0  # Dead times from a setpoint step within which no load step is believed
 SECOND_LAG = 0.35  # share of theta with which a second lag starts
 
 

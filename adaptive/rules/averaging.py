@@ -15,8 +15,7 @@ from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.rule import ControllerKind, Rule, Tuning, Wishes, tuning
 
 PI = ControllerKind.PI
-PEAK = 2.0 / math.e
-"""Largest level times Kc, over the step of flow that moves it."""
+PEAK = 2.0 / math.e  # Largest level times Kc, over the step of flow that moves it
 SLOW_ENOUGH = 8.0  # 1/(k' Kc) over the dead time from which a dead time hardly moves the peak: by a tenth
 
 

@@ -118,8 +118,7 @@ COHEN_COON = Rule(
 # Ideal form. Correlations over 0.1 <= theta/tau <= 1: load changes by Lopez, Miller, Smith & Murrill 1967 (Instrum.
 # Technol. 14, 57), setpoint changes by Rovira, Murrill & Smith 1969 (Instrum. Control Syst. 42, 67).
 
-RATIO_RANGE = (0.1, 1.0)
-"""theta/tau over which the correlations were fitted; beyond it the settings carry a note."""
+RATIO_RANGE = (0.1, 1.0)  # theta/tau over which the correlations were fitted; beyond it the settings carry a note
 
 
 def itae_load(model: ProcessModel, kind: ControllerKind = PI, _wishes: Wishes | None = None) -> Tuning:

@@ -21,8 +21,7 @@ from retuner.adaptive.rules.rule import (
 )
 
 PI, PID = ControllerKind.PI, ControllerKind.PID
-LAMBDA_PER_TAU = 3.0
-"""Default lambda over tau for a self-regulating process, the calmer end of the slides' 2 to 3."""
+LAMBDA_PER_TAU = 3.0  # Default lambda over tau for a self-regulating process, the calmer end of the slides' 2 to 3
 LAMBDA_PER_DEAD_TIME = 3.0  # default lambda over dead time for an integrating process, which has no tau
 
 
@@ -82,8 +81,7 @@ LAMBDA = Rule(
 # on a pure delay Kc = 0.29, Ti = theta/2 at lambda = 1.7 theta. There the dead time is inside lambda: SIMC's tau_c +
 # theta.
 
-LAMBDA_PER_THETA = {PI: 1.7, PID: 0.8}
-"""Smallest lambda over theta that the source recommends; the default."""
+LAMBDA_PER_THETA = {PI: 1.7, PID: 0.8}  # Smallest lambda over theta that the source recommends; the default
 IMC_LAMBDA_PER_TAU = 0.2  # smallest lambda over tau that the source recommends
 
 

@@ -10,8 +10,7 @@ from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.rule import ControllerKind, Rule, Tuning, Wishes
 
 PI, PID = ControllerKind.PI, ControllerKind.PID
-MS_DEFAULT = 1.59
-"""Demanded Ms unless another is given: that of SIMC with tau_c = theta on a first order process."""
+MS_DEFAULT = 1.59  # Demanded Ms unless another is given: that of SIMC with tau_c = theta on a first order process
 
 
 def optimal(model: ProcessModel, kind: ControllerKind = PI, wishes: Wishes | None = None) -> Tuning:

@@ -12,8 +12,7 @@ from retuner.schedule.late_dataclass import dataclass, replace
 from retuner.schedule.plain_values import plain_values
 
 MODULES = (simc_family, averaging, optimal, lambda_imc, classic, ziegler_nichols)
-RULES: dict[str, Rule] = {rule.name: rule for module in MODULES for rule in module.RULES}
-"""Every rule by its name."""
+RULES: dict[str, Rule] = {rule.name: rule for module in MODULES for rule in module.RULES}  # Every rule by its name
 ALIASES = {"itae": "itae-load", "zn-quarter-decay": "quarter-decay"}  # other names that people try
 
 

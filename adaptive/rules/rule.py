@@ -116,8 +116,7 @@ class Wishes:
 
 
 WISHES = ("tau_c_s", "ms", "gm", "c", "u0", "y_max")
-WISH_LABELS = {"tau_c_s": "tau_c", "y_max": "ymax"}
-"""How a person writes those whose name has a unit in it."""
+WISH_LABELS = {"tau_c_s": "tau_c", "y_max": "ymax"}  # How a person writes those whose name has a unit in it
 
 Worker = Callable[[ProcessModel, ControllerKind, Wishes], Tuning]
 OscillationWorker = Callable[[Oscillation, ControllerKind], Tuning]

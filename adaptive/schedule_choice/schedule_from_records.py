@@ -36,8 +36,7 @@ from retuner.schedule.table import Lookup
 
 PLACES = 25  # places along the variable that are looked at
 MOST_SETS = 16
-SLOWER = (1.4, 1.6, 2.0)
-"""Limits of J that are tried in turn where more than MOST_SETS would be needed."""
+SLOWER = (1.4, 1.6, 2.0)  # Limits of J that are tried in turn where more than MOST_SETS would be needed
 LOADS_A_STRETCH = 1.5
 """Load steps that a stretch may have in the mean; right fits of benchmarks/schedules need up to 0.8, wrong ones 2."""
 BEYOND = 0.1  # share of what the records visit by which a place may lie outside of it and still count as known

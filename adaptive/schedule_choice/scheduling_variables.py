@@ -187,8 +187,7 @@ def stretches_of(
 
 STEPS_IN_THETA = 6  # simulated steps in the shortest dead time
 MOST_STEPS = 6000
-SETTLING = 8.0
-"""Length of a crossing in the longest tau_I + theta."""
+SETTLING = 8.0  # Length of a crossing in the longest tau_I + theta
 LEAST_SHARE, MOST_SHARE = 0.25, 0.9  # shares of the range that are stepped over, at the least and at the most
 STARTS = 3  # places from which it is stepped, each way
 WORSE = 1.25

@@ -23,8 +23,7 @@ from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.late_dataclass import dataclass
 
 SHAPES = (CurveShape.CONSTANT, CurveShape.LINE, CurveShape.BENT)
-SIMPLER = 2.0
-"""Nats that a step from constant to line to bent must bring beyond its evidence."""
+SIMPLER = 2.0  # Nats that a step from constant to line to bent must bring beyond its evidence
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,8 +21,7 @@ from retuner.schedule.late_dataclass import dataclass, replace
 
 STEP = 1e-4  # step of z for derivatives
 LIMITS = Limits(30, 12, 0.02, damping=1e-3, least=1e-9, in_all=30)
-LARGEST_MOVE = 0.7
-"""Largest change of any ln p in one iteration."""
+LARGEST_MOVE = 0.7  # Largest change of any ln p in one iteration
 WIDTH = 48  # stretches simulated side by side
 
 
@@ -313,8 +312,7 @@ def _step(form: CurveForm, now: At, damping: float) -> FloatArray:
 
 
 MOST_ORDER = 5
-PRIOR_SAMPLES = 30.0
-"""Samples' worth of the common sigma in each stretch's own."""
+PRIOR_SAMPLES = 30.0  # Samples' worth of the common sigma in each stretch's own
 
 
 def noise_of(left: Sequence[FloatArray], floor: float) -> Noise:

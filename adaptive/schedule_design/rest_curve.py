@@ -10,8 +10,7 @@ from retuner.schedule.late_dataclass import dataclass
 
 END = 4  # the last one in so many rows of a stretch is its end
 MOST_ORDER = 3
-FOR_EACH = 3
-"""Stretches for each further power."""
+FOR_EACH = 3  # Stretches for each further power
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,8 +27,7 @@ from retuner.schedule.late_dataclass import dataclass
 from retuner.schedule.plain_values import plain_values
 
 SECONDS_PER_HOUR = 3600.0
-SAME = 0.05
-"""Share of a bump within which a setpoint is the one that was asked for: devices round."""
+SAME = 0.05  # Share of a bump within which a setpoint is the one that was asked for: devices round
 SENT_AGAIN_SAMPLES = 10  # samples after which a setpoint that has not come back is sent once more
 NOT_TAKEN_SAMPLES = 40  # samples after which a bump that was not taken is given up
 SHORTEST_SAMPLES = 20  # samples for which a bump is held at least, or its response would not have begun

@@ -20,8 +20,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-A_FILE = 250
-"""Loops of a file."""
+A_FILE = 250  # Loops of a file
 MEASURED = """
 import json, resource, sys, time
 begun = time.monotonic()

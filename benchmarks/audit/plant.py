@@ -34,8 +34,7 @@ that are each in order swing against each other (interaction)."""
 FAULTS = ("sluggish", "aggressive", "stiction", "external", "saturation", "manual", "dead", "interaction")
 CROSS = 1.0
 """What an interacting loop's output does to the other, over what it does to its own process; of opposite signs."""
-GROUP = 10
-"""Loops that one sticking valve upsets, besides the loop of the valve itself."""
+GROUP = 10  # Loops that one sticking valve upsets, besides the loop of the valve itself
 
 
 @dataclass(frozen=True)

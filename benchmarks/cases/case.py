@@ -22,8 +22,7 @@ class Record(NamedTuple):
     co: FloatArray
 
 
-Z_95 = 1.959964
-"""Two-sided 95 % of the normal distribution."""
+Z_95 = 1.959964  # Two-sided 95 % of the normal distribution
 
 A = TypeVar("A")
 B = TypeVar("B")

@@ -16,8 +16,7 @@ PROBE = 5000
 CYCLES = (4.0, 25.0)
 COARSEST_PER_THETA = 4.0
 FEWEST_ROUNDS = 3
-LONGEST_PERIOD = 500.0
-"""Samples in a cycle; slower limit cycles are drawn anew."""
+LONGEST_PERIOD = 500.0  # Samples in a cycle; slower limit cycles are drawn anew
 
 MakeValve = Callable[[float], Valve]
 

@@ -18,12 +18,10 @@ from cases.setting import DiagnosisCase, Loop, draw_loop
 from cases.signals import KanoValve, Valve, coloured, oscillation, steps
 from retuner.schedule.gains import PidGains
 
-FAST = (0.7, 2.0)
-"""Samples in the dead time of a fast loop: a flow loop read every few seconds."""
+FAST = (0.7, 2.0)  # Samples in the dead time of a fast loop: a flow loop read every few seconds
 STICKS = frozenset({"stiction", "unknown"})
 SLIPS = (1, 12)
-STANDS = 10.0
-"""Longest stand of the valve in units of tau_I, at least."""
+STANDS = 10.0  # Longest stand of the valve in units of tau_I, at least
 
 
 def fast_loop(rng: np.random.Generator) -> tuple[Loop, PidGains]:

@@ -32,18 +32,15 @@ GROUPS = (
     "starts in motion",
     "pid",
 )
-BY_NAME = ("several loads",)
-"""Groups that are drawn only where they are asked for, so that the others keep their turns."""
+BY_NAME = ("several loads",)  # Groups that are drawn only where they are asked for, so that the others keep their turns
 MANUAL = frozenset({"open-loop step", "open-loop steps"})
 MOST_SAMPLES = 2500
 FEWEST_SAMPLES = 120
-FINE = 8
-"""Steps in a sample where samples do not come at regular times."""
+FINE = 8  # Steps in a sample where samples do not come at regular times
 MS_IN_FORCE = 5.0
 TRIES = 200
 
-Event = tuple[float, float]
-"""Place in samples, and size."""
+Event = tuple[float, float]  # Place in samples, and size
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,8 +15,7 @@ from retuner.adaptive.process.model import LinearProcess
 from retuner.schedule.gains import PidGains
 from retuner.schedule.pid import law, start, step
 
-FAR = 1e15
-"""Limits of an output that has none."""
+FAR = 1e15  # Limits of an output that has none
 
 Valve = Callable[[float], float]
 Sensor = Callable[[float], float]

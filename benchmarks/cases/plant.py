@@ -16,8 +16,7 @@ from cases.case import FloatArray
 from retuner.adaptive.process.model import ComplexArray, LinearProcess, ProcessModel, ProcessType
 from retuner.schedule.gains import PidGains, from_form
 
-ROUNDING = 1e-9
-"""Share of a step by which a dead time may miss a whole number of steps and still count as whole."""
+ROUNDING = 1e-9  # Share of a step by which a dead time may miss a whole number of steps and still count as whole
 
 Section = tuple[FloatArray, FloatArray, FloatArray]
 
@@ -83,8 +82,7 @@ def _held(a: FloatArray, b: FloatArray, dt_s: float) -> tuple[FloatArray, FloatA
 
 DECADES_OF_TIME = (-2.0, 2.0)
 """Exponents of ten of the time scale in seconds: from an effective dead time of 10 ms to 100 s."""
-DECADES_OF_GAIN = (-2.0, 3.0)
-"""Exponents of ten of pv units per co unit."""
+DECADES_OF_GAIN = (-2.0, 3.0)  # Exponents of ten of pv units per co unit
 FAMILIES = (
     "first",
     "second",
@@ -177,8 +175,7 @@ def _pair(rng: np.random.Generator, t: float, low: float, high: float = 1.0) -> 
 
 POINTS_PER_DECADE = 150
 DECADES_BEYOND = 3.0
-TURN_OF_DELAY = 0.3
-"""Largest turn of the dead time, rad, between two points of the grid while |L| is above SMALL."""
+TURN_OF_DELAY = 0.3  # Largest turn of the dead time, rad, between two points of the grid while |L| is above SMALL
 SMALL = 0.3
 
 

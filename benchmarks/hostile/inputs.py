@@ -51,8 +51,7 @@ TABLE = GainTable(
     (PidGains(1.25, 0.125, 0.5), PidGains(2.5, 0.25)),
 )
 
-Judge = Callable[[bytes], str]
-"""Takes an input; "refused" or "accepted", or raises Wrong."""
+Judge = Callable[[bytes], str]  # Takes an input; "refused" or "accepted", or raises Wrong
 
 
 class WrongError(Exception):

@@ -15,16 +15,12 @@ from online.judge import J_LIMIT, MS_LIMIT, MS_OVER_BEST, Judgement
 
 from retuner import PidGains
 
-POINTS, LOWEST = 800, 0.05
-"""Frequencies, the lowest as a share of one over the answer's length."""
-ENDS = 0.05
-"""Share of the answer that its last slope is taken from."""
+POINTS, LOWEST = 800, 0.05  # Frequencies, the lowest as a share of one over the answer's length
+ENDS = 0.05  # Share of the answer that its last slope is taken from
 HORIZON_THETA, HORIZON_RESET, MOST = 60.0, 8.0, 6000
 """IAE is simulated for so many dead times and integral times, and at most so many samples."""
-MS_BEST = 1.6
-"""Of the best PI: about what SIMC gives to a lag with dead time."""
-RESETS = 14
-"""Integral times that are tried for it, over this span of dead times:"""
+MS_BEST = 1.6  # Of the best PI: about what SIMC gives to a lag with dead time
+RESETS = 14  # Integral times that are tried for it, over this span of dead times:
 SHORTEST, LONGEST = 1.0, 60.0
 
 

@@ -18,8 +18,7 @@ from retuner.adaptive.process.model import LinearProcess
 
 MINUTE_S, DT_S = 60.0, 20.0
 NOISE, EVENTS, EVENT_MIN = 0.01, 12, 150.0
-Element = tuple[float, float, tuple[float, ...], tuple[float, ...]]
-"""Gain, dead time, lags, leads; minutes."""
+Element = tuple[float, float, tuple[float, ...], tuple[float, ...]]  # Gain, dead time, lags, leads; minutes
 
 
 @dataclass(frozen=True, slots=True)

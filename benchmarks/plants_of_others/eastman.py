@@ -15,11 +15,9 @@ import numpy as np
 from plants_of_others.loop import Card, Control, Tripped, package
 from retuner import PidGains
 
-TICK_S = 1.8
-"""The package's own control interval."""
+TICK_S = 1.8  # The package's own control interval
 EVENTS = 8
-EXACT = 0x6F
-"""The package's flag, with its bits for no noise of measurements and of the process."""
+EXACT = 0x6F  # The package's flag, with its bits for no noise of measurements and of the process
 SOURCE = "Ricker 1996, mode 1"
 
 

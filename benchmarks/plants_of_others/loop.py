@@ -30,10 +30,8 @@ def package(module: str, who: str) -> Any:  # noqa: ANN401  a module without typ
 
 
 Control = Callable[[float, float], float]
-OPENED = 8.0
-"""Factor to which a change, and the sum of all changes, is held where the limits are opened."""
-LOST_SPANS = 3.0
-"""A loop further from its setpoint than so many spans is lost."""
+OPENED = 8.0  # Factor to which a change, and the sum of all changes, is held where the limits are opened
+LOST_SPANS = 3.0  # A loop further from its setpoint than so many spans is lost
 
 
 class Tripped(Exception):  # noqa: N818  it is no error of the program

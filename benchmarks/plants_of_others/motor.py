@@ -15,8 +15,7 @@ from plants_of_others.loop import Card, Control, Tripped, package
 from retuner import PidGains
 
 DT_S = 1e-4
-L_H, A = 19e-6, 4.0
-"""The motor's inductance and the design parameter: kc = L / (a dt), tau_I = a^2 dt."""
+L_H, A = 19e-6, 4.0  # The motor's inductance and the design parameter: kc = L / (a dt), tau_I = a^2 dt
 HOLD_S, EVENTS = 0.03, 12
 CURRENT_A, SPEEDS, NOISE_A = 40.0, (100.0, 120.0, 140.0), 0.3
 

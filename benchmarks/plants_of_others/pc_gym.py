@@ -18,11 +18,9 @@ import numpy as np
 from plants_of_others.loop import INSTALL, Card, Control, package
 from retuner import PidGains
 
-MINUTE_S, EVENTS, NOISE = 60.0, 12, 0.01
-"""The reactor counts minutes. Noise is this share of a usual step."""
+MINUTE_S, EVENTS, NOISE = 60.0, 12, 0.01  # The reactor counts minutes. Noise is this share of a usual step.
 HOLD_S = {"reactor": 1800.0, "level 1": 900.0, "level 2": 900.0}
-BESIDE = PidGains(10.0, 0.2, 0.0)
-"""Of the other level, which is not retuned."""
+BESIDE = PidGains(10.0, 0.2, 0.0)  # Of the other level, which is not retuned
 REST = {"reactor": 300.0, "level 1": 5.0, "level 2": 5.0}
 BEGIN = {"reactor": (0.87725, 324.475), "tanks": (0.0899644, 0.1071611, 0.1839959, 0.0942711)}
 """States of rest at these outputs: Ca, T (K); levels (m)."""

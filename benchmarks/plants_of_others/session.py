@@ -22,8 +22,7 @@ FACTOR = 4.0
 AFTER = (1, 3, 6)
 OVER = ("start", "published", "best")
 """Whose IAE that of the end is told over: the middle session, and in brackets the worst."""
-REPLAYED: dict[tuple[object, ...], Row] = {}
-"""Sessions under gains that stay: the same for every start."""
+REPLAYED: dict[tuple[object, ...], Row] = {}  # Sessions under gains that stay: the same for every start
 STARTS = {"published": None, "low": (1 / FACTOR, 1.0), "high": (FACTOR, 1.0), "slow": (1 / FACTOR, FACTOR)}
 """Kc and tau_I as factors of the best."""
 
@@ -50,8 +49,7 @@ def begins_with(card: Card, truth: Truth, start: str) -> PidGains:
     return PidGains(best.kp * factors[0], best.ki * factors[0] / factors[1], 0.0)
 
 
-Sets = dict[str, PidGains]
-"""The gains of each loop that is ours."""
+Sets = dict[str, PidGains]  # The gains of each loop that is ours
 
 
 def run(plant: Plant, truths: dict[str, Truth], task: Task) -> Row:

@@ -17,15 +17,12 @@ from plants_of_others.loop import Card, Control, package
 from retuner import PidGains
 
 DT_S = 1.0
-K, TAU_S, THETA_S = 0.9, 175.0, 15.0
-"""The makers' published process."""
+K, TAU_S, THETA_S = 0.9, 175.0, 15.0  # The makers' published process
 HOLD_S, EVENTS = 900.0, 12
 LOW, LEAST = 32.0, 3.0
-HIGH = {"T1": 58.0, "T2": 44.0}
-"""Setpoints that the heaters reach, and the smallest step, Celsius."""
+HIGH = {"T1": 58.0, "T2": 44.0}  # Setpoints that the heaters reach, and the smallest step, Celsius
 WARM = 40.0
-OTHER_HEATER = (0.0, 30.0, 60.0)
-"""Percent: the load."""
+OTHER_HEATER = (0.0, 30.0, 60.0)  # Percent: the load
 
 
 def imc() -> PidGains:

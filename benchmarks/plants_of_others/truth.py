@@ -21,12 +21,9 @@ from plants_of_others.answered import Answered
 from plants_of_others.loop import Card, Controlled, Plant, Stepped
 from retuner.adaptive.process.model import LinearProcess
 
-POINTS = 600
-"""Samples of the answer that are fitted."""
-GOOD = 0.01
-"""Misfit below which no further structure is tried."""
-FLOOR = 0.02
-"""Share of the largest answer that the shares are taken over at least."""
+POINTS = 600  # Samples of the answer that are fitted
+GOOD = 0.01  # Misfit below which no further structure is tried
+FLOOR = 0.02  # Share of the largest answer that the shares are taken over at least
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,8 +18,7 @@ from retuner import PidGains
 MINUTE_S, DAY_S = 60.0, 86400.0
 DAYS = 3.0
 SP = 2.0
-OFFSET = 144.0
-"""The package's output to begin with, 1/d."""
+OFFSET = 144.0  # The package's output to begin with, 1/d
 MOVES = {"oxygen": 0.0, "oxygen_stepped": 0.5}
 """Size of the operators' setpoint steps, every six hours: none, as the benchmark says; or some."""
 

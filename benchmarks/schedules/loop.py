@@ -15,8 +15,7 @@ from retuner.schedule.pid import change, law, start, step
 from schedules.lookups import Lookup
 from schedules.subject import Subject
 
-LOST_SPANS = 3.0
-"""A loop whose pv is so many spans from its setpoint is lost."""
+LOST_SPANS = 3.0  # A loop whose pv is so many spans from its setpoint is lost
 
 
 @dataclass(frozen=True, slots=True)

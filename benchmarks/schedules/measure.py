@@ -19,8 +19,7 @@ from schedules.truth import Truth, counts
 Row = dict[str, Any]
 MODES = ("fixed", "scheduled", "lagging")
 """Gains in force in the record: one set; a table of three; one set, and the scheduling variable lags."""
-LAG_THETA = 4.0
-"""Lag of a lagging scheduling variable, in effective dead times of the middle."""
+LAG_THETA = 4.0  # Lag of a lagging scheduling variable, in effective dead times of the middle
 PLACES, WALK = 11, 16
 DRAWN = tuple((kind, factor) for kind in ("smooth", "kink") for factor in (4.0, 10.0))
 

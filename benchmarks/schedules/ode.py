@@ -19,14 +19,10 @@ from scipy.optimize import root
 from retuner.adaptive.process.model import LinearProcess
 
 State = Sequence[float]
-TRIM = 4096
-"""Samples of the input's past that are kept at least."""
-SAME = 0.01
-"""A pole and a zero that differ by less than this share cancel."""
-FASTEST = 1e-3
-"""Lags and leads below this share of the longest lag are left out."""
-REAL = 1e-6
-"""Imaginary parts below this share are rounding."""
+TRIM = 4096  # Samples of the input's past that are kept at least
+SAME = 0.01  # A pole and a zero that differ by less than this share cancel
+FASTEST = 1e-3  # Lags and leads below this share of the longest lag are left out
+REAL = 1e-6  # Imaginary parts below this share are rounding
 
 
 @dataclass(frozen=True)

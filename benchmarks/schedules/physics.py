@@ -31,8 +31,7 @@ def _tank_guess(y: float, _w: float) -> tuple[list[float], float]:
 
 
 KW, K1, K2, CARBONATE, ACID, BASE = 1e-14, 4.47e-7, 5.62e-11, 3e-3, 5e-3, 0.02
-VESSEL, STREAM, PROBE_S = 3.0, 0.02, 8.0
-"""Litres, litres a second, seconds."""
+VESSEL, STREAM, PROBE_S = 3.0, 0.02, 8.0  # Litres, litres a second, seconds
 
 
 def charge(ph: float) -> float:

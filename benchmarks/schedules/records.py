@@ -29,12 +29,9 @@ VISITED = 8
 HOLD_THETA, HOLD_CLOSED = 50.0, 6.0
 """A visit lasts so many dead times there, or so many times of the loop under the gains in force, up to MOST_SAMPLES."""
 MOST_SAMPLES = 2500
-LOAD_SHARE = 0.05
-"""Share of the span by which the largest load would move pv at rest."""
-STEP_SHARE = 0.08
-"""Share of the span of a setpoint step where the place is an outside signal."""
-MS_POOR = 2.5
-"""The poor gains are no worse than this anywhere."""
+LOAD_SHARE = 0.05  # Share of the span by which the largest load would move pv at rest
+STEP_SHARE = 0.08  # Share of the span of a setpoint step where the place is an outside signal
+MS_POOR = 2.5  # The poor gains are no worse than this anywhere
 REGIONS_IN_FORCE = 3
 
 
@@ -124,8 +121,7 @@ def walk(truth: Truth, rng: np.random.Generator, count: int) -> list[Visit]:
 
 SMOOTH = ("ramp", "sigmoid", "hump")
 NOISE = 0.1
-POINTS = 400
-"""Points of the tabled resting output."""
+POINTS = 400  # Points of the tabled resting output
 
 
 def shape(name: str, kink: float) -> Callable[[float], float]:

@@ -19,8 +19,7 @@ from schedules.subject import Live, Subject
 from schedules.truth import Truth
 
 POINTS = 8
-TEST_SHARE = 0.05
-"""Share of the span by which pv moves in an experiment."""
+TEST_SHARE = 0.05  # Share of the span by which pv moves in an experiment
 
 
 class _AboutRest:

@@ -12,8 +12,7 @@ from schedules.subject import NAMES
 Row = dict[str, Any]
 WHO = ("before", "fixed", "four", "points", "designed", "perfect")
 WITHIN_ONE = 1
-OUT = 2.0
-"""Standard deviations within which 95 % should lie."""
+OUT = 2.0  # Standard deviations within which 95 % should lie
 
 
 def line(row: Row) -> str:

@@ -6,10 +6,8 @@ from unlike_ours.process import Linear, LinearLive
 from unlike_ours.story import Partner, Story
 from unlike_ours.truth import Truth
 
-PLACES = 25
-"""Places of a nonlinear plant's range at which truth is asked."""
-FACTORS = 10
-"""Truth under a drifting gain is asked at every tenth of its factor."""
+PLACES = 25  # Places of a nonlinear plant's range at which truth is asked
+FACTORS = 10  # Truth under a drifting gain is asked at every tenth of its factor
 
 
 class Coupled(Truth):

@@ -23,10 +23,8 @@ from unlike_ours.story import DISTURBANCES, NAMES, Event, Rng, Story, draw
 from unlike_ours.truth import J_LIMIT, Truth
 
 Row = dict[str, Any]
-NOTICED, NOTICED_J = 1.01, 1.02
-"""Growth by less than these factors is no harm."""
-LEFT = 30.0
-"""Ranges of pv from which the loop is lost."""
+NOTICED, NOTICED_J = 1.01, 1.02  # Growth by less than these factors is no harm
+LEFT = 30.0  # Ranges of pv from which the loop is lost
 LONGEST_SENTENCE = 900
 
 

@@ -14,8 +14,7 @@ from unlike_ours.truth import Truth, Tuned
 Rng = np.random.Generator
 Noise = Callable[[Rng, int], Array]
 DISTURBANCES = ("sp", "load", "ramp", "slope", "pulse")
-EVENTS = 8
-"""Disturbances of each loop."""
+EVENTS = 8  # Disturbances of each loop
 
 
 @dataclass(frozen=True)

@@ -15,12 +15,10 @@ import numpy as np
 from world.draw import drawn
 from world.process import FloatArray
 
-BANDS = (0.003, 0.01, 0.03, 0.1, 0.3)
-"""Edges of the bands of the spectrum, cycles a sample."""
+BANDS = (0.003, 0.01, 0.03, 0.1, 0.3)  # Edges of the bands of the spectrum, cycles a sample
 TREES, CUTS, DEEPEST, FEWEST = 100, 12, 8, 4
 """Trees of a forest, random cuts tried at a node, levels of a tree, records of a node that is cut."""
-ROUNDS = 4
-"""Times that tags are dealt into FOLDS."""
+ROUNDS = 4  # Times that tags are dealt into FOLDS
 FOLDS = 5
 LEAST = 1e-12
 PER_SIGNAL = ("still", "values", "kurtosis", "jump", "rough", "lag 1", "lag 10", "lag 50", "longest still", "reversals",

@@ -37,8 +37,7 @@ from world.process import margins
 
 AS = {"ok": "ok", "sluggish": "sluggish", "aggressive": "aggressive", "slow_integrating": "aggressive",
       "stiction": "stiction", "nonlinear": BENDS}  # fmt: skip
-LEAST = 0.003
-"""Probability that a log score counts at least."""
+LEAST = 0.003  # Probability that a log score counts at least
 BANDS = ((0.0, 0.5), (0.5, 0.7), (0.7, 0.85), (0.85, 0.95), (0.95, 1.01))
 
 

@@ -23,16 +23,14 @@ from world.process import FloatArray, TrueProcess, drawn_process, margins, simc,
 
 CLASSES = ("ok", "sluggish", "aggressive", "stiction")
 SETS = {"real": 0, "none": 1, "step4": 4, "step8": 8, "bends": 12}
-BENDS = "nonlinear"
-"""The cause of every loop of the set bends."""
+BENDS = "nonlinear"  # The cause of every loop of the set bends
 SAMPLES, DT_S = 751, 10.0
 TRIES = 80
 MOST_EVERY, SLOW = 8.0, 0.7
 """Where a historian keeps the record: samples of the controller from row to row, at most; share of loads that are as
 slow as they were recorded, by rows.
 """
-CALM = 1.76
-"""The largest Ms of a loop that is in order, sluggish, or behind a valve."""
+CALM = 1.76  # The largest Ms of a loop that is in order, sluggish, or behind a valve
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,5 +231,4 @@ def tested(case: WorldCase, seed: int, kind: str, size: float, hold: int) -> tup
     return np.arange(len(sp)) * DT_S, sp, pv, co
 
 
-BEFORE = 40
-"""Samples before a test's first step."""
+BEFORE = 40  # Samples before a test's first step

@@ -48,12 +48,9 @@ CHANGES: dict[str, Callable[[Window], Window]] = {
 }
 
 
-Odds = dict[str, float]
-"""Causes with their probability, the one that is named first."""
-SHOWN = 0.05
-"""A cause less probable than this is not printed."""
-JUMPS = 0.4
-"""Change of the odds of a cause from which it is no near tie."""
+Odds = dict[str, float]  # Causes with their probability, the one that is named first
+SHOWN = 0.05  # A cause less probable than this is not printed
+JUMPS = 0.4  # Change of the odds of a cause from which it is no near tie
 
 
 def told(path: str) -> dict[str, Odds]:

@@ -11,8 +11,7 @@ import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
 FREQUENCIES = np.logspace(-4.5, math.log10(3.0), 1500)
-PARTS = 4
-"""Of a sample, in the simulation."""
+PARTS = 4  # Of a sample, in the simulation
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,10 +39,8 @@ class TrueProcess:
         return np.asarray(g, dtype=np.complex128)
 
 
-AWAY = 1e12
-"""A loop whose pv is farther away has run away."""
-LEAST_GAIN = 0.1
-"""A process that bends keeps this share of its gain everywhere."""
+AWAY = 1e12  # A loop whose pv is farther away has run away
+LEAST_GAIN = 0.1  # A process that bends keeps this share of its gain everywhere
 
 
 def bent(x: float, bend: float) -> float:

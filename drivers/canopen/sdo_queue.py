@@ -19,8 +19,7 @@ COMMAND = 0xE0
 EXPEDITED, SIZED = 0x02, 0x01
 SEGMENT_DOWN, SEGMENT_TAKEN, SEGMENT_UP, SEGMENT_GIVEN = 0x00, 0x20, 0x60, 0x00
 TOGGLE, LAST = 0x10, 0x01
-IN_ONE, IN_A_SEGMENT = 4, 7
-"""Bytes of an expedited transfer and of a segment."""
+IN_ONE, IN_A_SEGMENT = 4, 7  # Bytes of an expedited transfer and of a segment
 TOO_LONG, WRONG_TOGGLE = 0x06070010, 0x05030000
 """Abort codes: a length that does not fit; a toggle bit that was not alternated."""
 

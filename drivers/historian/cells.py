@@ -27,8 +27,7 @@ SYSTEM_STATE = re.compile(r"\[-[0-9]+\].*")
 GOOD_WORDS = frozenset({"good", "ok", "valid", "normal", "g", "true", "good, annotated", "alarm", "unackedalarm"})
 """What is said of a good value; one in alarm is still what the sensor reads."""
 BAD_WORDS = frozenset({"bad", "uncertain", "invalid", "b", "u", "false", "questionable", "substituted", "stale"})
-OPC_GOOD = 192
-"""Quality of OPC from which a value is good (OPC Data Access 2.05, 6.8)."""
+OPC_GOOD = 192  # Quality of OPC from which a value is good (OPC Data Access 2.05, 6.8)
 
 
 def decimal_mark(table: RawTable, places: Iterable[int], form: RecordForm) -> tuple[str, tuple[Assumption, ...]]:

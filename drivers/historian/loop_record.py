@@ -29,8 +29,7 @@ from retuner.drivers.recorded.recording import Recording, RecordingError
 from retuner.schedule.late_dataclass import dataclass, field, replace
 
 FILES_OF_A_FOLDER = (".csv", ".txt", ".tsv", ".parquet")
-TRAFFIC = (".blf", ".asc", ".mf4", ".log")
-"""Logs of bus traffic; of a folder they are read where a DBC is given."""
+TRAFFIC = (".blf", ".asc", ".mf4", ".log")  # Logs of bus traffic; of a folder they are read where a DBC is given
 TAGS_SHOWN = 8
 EMPTY = "{}: no file in the folder; give text (.csv, .txt) or .parquet"
 WHOLE = RecordForm()

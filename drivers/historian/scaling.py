@@ -17,8 +17,7 @@ from retuner.schedule.late_dataclass import dataclass, replace
 
 NUMBER = r"\s*([-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?)\s*"
 FORM = re.compile(rf"{NUMBER}\.\.{NUMBER}:{NUMBER}\.\.{NUMBER}")
-NAMED = {"mA": "4..20", "V": "0..10"}
-"""Ranges that have a name."""
+NAMED = {"mA": "4..20", "V": "0..10"}  # Ranges that have a name
 SHAPE = 'give "4..20:0..200", what is recorded and what it stands for, or "mA:0..200"'
 FloatArray = npt.NDArray[np.float64]
 

@@ -28,8 +28,7 @@ WORDS = MappingProxyType(
 """Names of each role, written together in small letters. K-Spice calls its time "Tag-names"."""
 ROLE_OF = MappingProxyType({word: role for role, words in WORDS.items() for word in words.split()})
 SEPARATED = re.compile(r"[\s._/\\|:\-()\[\]]+")
-SEPARATORS = " ._/\\|:-()[]"
-"""What may stand between a tag and its role."""
+SEPARATORS = " ._/\\|:-()[]"  # What may stand between a tag and its role
 UNIT = re.compile(r"[\[(]([^\[()\]]*)[\])]\s*$")
 TIME_UNIT = MappingProxyType(
     {

@@ -21,8 +21,7 @@ from retuner.drivers.recorded.recording import NUMBER, RecordingError
 from retuner.schedule.late_dataclass import dataclass
 
 Numbers = Sequence[float] | npt.NDArray[np.floating]
-Times = Numbers | Sequence[datetime] | npt.NDArray[np.datetime64] | npt.NDArray[np.timedelta64]
-"""Seconds, or moments."""
+Times = Numbers | Sequence[datetime] | npt.NDArray[np.datetime64] | npt.NDArray[np.timedelta64]  # Seconds, or moments
 DATES = (
     "%Y-%m-%d", "%Y/%m/%d", "%Y.%m.%d", "%d.%m.%Y", "%d/%m/%Y", "%m/%d/%Y", "%d-%m-%Y", "%m-%d-%Y", "%d.%m.%y",
     "%d/%m/%y", "%m/%d/%y", "%d-%m-%y", "%d-%b-%Y", "%d-%b-%y", "%d %b %Y", "%b %d %Y", "%b %d, %Y", "%Y%m%d",
@@ -42,15 +41,13 @@ TIME_OF_DAY = re.compile(
     r"(?P<h>[0-9]{1,2}):(?P<m>[0-9]{2})(?::(?P<s>[0-9]{2})(?:[.,](?P<f>[0-9]{1,9}))?)?\s*(?P<half>[AaPp]\.?[Mm]\.?)?"
     rf"\s*(?P<zone>{'|'.join(sorted(ZONES, key=len, reverse=True))}|[+-][0-9]{{2}}:?[0-9]{{2}})?"
 )
-OTHER_ZONE = re.compile(r"[A-Z][A-Za-z/_]+")
-"""A zone by any other name behind a time of day."""
+OTHER_ZONE = re.compile(r"[A-Z][A-Za-z/_]+")  # A zone by any other name behind a time of day
 DIGITS = re.compile(r"(?:19|20)[0-9]{12}(?:\.[0-9]+)?")  # date and time written together as 20241015215500
 EPOCHS = MappingProxyType({"s": (1e9, 4e9), "ms": (1e12, 4e12), "us": (1e15, 4e15), "ns": (1e18, 4e18)})
 """Range of numbers that count from 1970, from 2001 to 2096, by unit."""
 SPREADSHEET_DAYS = (30_000.0, 60_000.0)  # days since 1899-12-30 from 1982 to 2064: a spreadsheet's stamps as numbers
 SPREADSHEET_1970 = 25_569.0
-MATLAB_DAYS = (723_000.0, 755_000.0)
-"""Days of MATLAB's datenum from 1979 to 2067, which counts from the year 0."""
+MATLAB_DAYS = (723_000.0, 755_000.0)  # Days of MATLAB's datenum from 1979 to 2067, which counts from the year 0
 MATLAB_1970 = 719_529.0
 DAY_S = 86_400.0
 HOUR_S = 3600.0

@@ -22,8 +22,7 @@ except ModuleNotFoundError as missing:
 CO_SIMULATION, MODEL_EXCHANGE = "co_simulation", "model_exchange"
 FMI_TYPES = {CO_SIMULATION: "CoSimulation", MODEL_EXCHANGE: "ModelExchange"}
 REAL, REAL_32 = {"Real", "Float64"}, "Float32"
-MOST_EVENT_ITERATIONS = 1000
-"""Iterations that an FMU may take to settle its discrete states at one instant."""
+MOST_EVENT_ITERATIONS = 1000  # Iterations that an FMU may take to settle its discrete states at one instant
 LEAST_SHARE = 1e-9  # share of a step below which what is left of it counts as rounding
 TOLERANCE = 1e-6  # relative tolerance of the integration where the FMU names none
 SHOWN = 12  # variables of a kind that are shown; an FMU may have thousands

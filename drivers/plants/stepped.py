@@ -23,8 +23,7 @@ STILL = 0.0005  # share of its whole move that a pv at rest moves in a chunk at 
 LEAD = 20  # samples at rest before the step
 FEWEST_AT_SETPOINT = 20  # samples at a setpoint, the last quarter of which shows the co that holds it
 MOST_RESTS = 5
-EXPLAINED = 0.02
-"""What the model may leave of the step response, as a share of its size."""
+EXPLAINED = 0.02  # What the model may leave of the step response, as a share of its size
 
 
 class NoProcessError(PlantFaultError):

@@ -62,8 +62,7 @@ FOLLOW = 0.05
 """Share of an arrival's distance from its place by which the origin moves: jitter of one arrival does little."""
 EARLY = 0.5  # samples by which an arrival may be early and still be the next one
 ROUNDING = 1e-9
-LOOKED_AT = 16
-"""Samples that were due over which it is looked whether half of them are lost."""
+LOOKED_AT = 16  # Samples that were due over which it is looked whether half of them are lost
 PAUSE = 8  # more samples lost at once than this are a silence, and say nothing of the pace
 
 
@@ -124,8 +123,7 @@ Numbers = Mapping[str, float]
 ChooseWay = Callable[[Numbers, Numbers, bool], tuple[int, ...]]
 """Old and new numbers, and whether it is the way back: the messages in their order; WriteRefusedError when none is."""
 SEQUENCES = 1 << 16
-AT_LIMIT = 1e-6
-"""Share of the output's range within which it counts as standing at the limit."""
+AT_LIMIT = 1e-6  # Share of the output's range within which it counts as standing at the limit
 AGAIN = 0.75  # samples after which a question that nothing has answered is put again
 TOGETHER = 0.5  # samples within which values of one sample come
 

@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any
 
 PACKAGE = "retuner.drivers.profiles"
-HERE = "profile:"
-"""What the name of a file begins with that lies beside the profiles."""
+HERE = "profile:"  # What the name of a file begins with that lies beside the profiles
 
 
 def profile_names() -> list[str]:

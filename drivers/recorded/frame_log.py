@@ -32,11 +32,9 @@ READERS: dict[str, Callable[[Any], Iterable[can.Message]]] = {
     ".mf4": mf4_reader,
     ".log": can.CanutilsLogReader,
 }
-SUFFIXES = tuple(READERS)
-"""Formats of bus traffic; .csv and .parquet are tables of samples (recording.py)."""
+SUFFIXES = tuple(READERS)  # Formats of bus traffic; .csv and .parquet are tables of samples (recording.py)
 TEXT = (".asc", ".log")
-SIZE_MAX = 1 << 34
-"""Largest file in bytes: a month of one loop at 100 samples a second is about as long."""
+SIZE_MAX = 1 << 34  # Largest file in bytes: a month of one loop at 100 samples a second is about as long
 READING_ERRORS = (
     can.CanError, BLFParseError, OSError, ValueError, TypeError, KeyError, IndexError, AttributeError,
     OverflowError, EOFError, struct.error, zlib.error,

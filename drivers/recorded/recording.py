@@ -20,12 +20,10 @@ from retuner.schedule.late_dataclass import dataclass, field
 
 ROLES = ("t", "sp", "pv", "co")
 DELIMITERS = ",;\t"
-SIZE_MAX = 1 << 30
-"""Largest file in bytes; a year at one sample a second is about as long."""
+SIZE_MAX = 1 << 30  # Largest file in bytes; a year at one sample a second is about as long
 NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 DECIMAL_COMMA = re.compile(r"[+-]?[0-9]+,[0-9]+")
-DEAD = 1e-9
-"""A signal that varies by less than this share of its magnitude is constant; single precision resolves 1e-7."""
+DEAD = 1e-9  # A signal that varies by less than this share of its magnitude is constant; single precision resolves 1e-7
 
 
 class RecordingError(ValueError):

@@ -26,8 +26,7 @@ WHERE = 0.7
 """The gain of a system is read off at this share of its geometric mean frequency, a real s away from its roots."""
 
 Thing = ProcessModel | LinearProcess | PidGains
-System: TypeAlias = Any
-"""An object of a package that is not imported here, so its type has no name."""
+System: TypeAlias = Any  # An object of a package that is not imported here, so its type has no name
 
 
 def process_of(system: System, theta_s: float = 0.0) -> LinearProcess:

@@ -41,8 +41,7 @@ LOG.addHandler(logging.NullHandler())
 MEMORY = 1  # version of what `memory` gives
 HARD = Lookup.HARD
 WARMS_AT = 20  # sample at which what a decision needs is loaded: a program that runs a step or two starts without it
-LONGEST_S = 1e9
-"""Longest time between two steps: 30 years, and less than the time of day counted from 1970."""
+LONGEST_S = 1e9  # Longest time between two steps: 30 years, and less than the time of day counted from 1970
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,11 +32,9 @@ from retuner.schedule.regions import CAN, Axis, Regions
 from retuner.schedule.table import GainTable, Lookup
 
 AUTO = "auto"
-SCHEMA = 1
-"""Version of the JSON document."""
+SCHEMA = 1  # Version of the JSON document
 NOTHING: Mapping[str, Sequence[Numbers]] = MappingProxyType({})
-DIGITS = 5
-"""Significant digits of gains, borders and times in the table: a person reads them."""
+DIGITS = 5  # Significant digits of gains, borders and times in the table: a person reads them
 
 
 @dataclass(frozen=True, slots=True)

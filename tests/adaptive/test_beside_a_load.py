@@ -33,8 +33,7 @@ from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.schedule.gains import PidGains
 
 FIRST, SECOND_ORDER = ProcessType.FOPDT, ProcessType.SOPDT
-THETA_S, TOTAL, C2, AT = 4.0, 40.0, 7.5, 60.0
-"""Lags of 30 and 10 s after 4 s, gain one; the load comes after 60 s."""
+THETA_S, TOTAL, C2, AT = 4.0, 40.0, 7.5, 60.0  # Lags of 30 and 10 s after 4 s, gain one; the load comes after 60 s
 DT, N = 0.8, 500
 
 

@@ -13,8 +13,7 @@ from retuner.api import identify_by_region
 from retuner.cli import main
 from retuner.schedule.gains import PidGains
 
-LOW, HIGH, BORDER = 0.01, 0.03, 50.0
-"""Slope gains below and above the border, per second."""
+LOW, HIGH, BORDER = 0.01, 0.03, 50.0  # Slope gains below and above the border, per second
 
 
 def level(noise: float = 0.05) -> Window:

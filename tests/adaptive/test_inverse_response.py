@@ -29,8 +29,7 @@ from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import replace
 
 INVERSE = ProcessType.SOPDT_INVERSE
-K, LAGS, B, DELAY = 1.0, (12.0, 5.0), 5.0, 3
-"""Gain, lags and zero in seconds, dead time in samples of a second."""
+K, LAGS, B, DELAY = 1.0, (12.0, 5.0), 5.0, 3  # Gain, lags and zero in seconds, dead time in samples of a second
 
 
 def record(

@@ -21,8 +21,7 @@ from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.state_file import remember, restore
 from retuner.schedule.table import GainTable
 
-LATER = 7
-"""Samples between question and answer."""
+LATER = 7  # Samples between question and answer
 
 
 class Asked(NamedTuple):

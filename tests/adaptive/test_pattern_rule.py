@@ -21,8 +21,7 @@ from retuner.adaptive.without_model.pattern_rule import (
 )
 from retuner.schedule.gains import PidGains
 
-PI = PidGains(2.0, 2.0 / 30)
-"""tau_I = 30 s."""
+PI = PidGains(2.0, 2.0 / 30)  # tau_I = 30 s
 BEFORE, N = 50, 1200
 SETTINGS = PatternSettings()
 

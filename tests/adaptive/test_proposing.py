@@ -107,8 +107,7 @@ def test_a_locked_derivative_holds_nothing_else_of_a_controller_without_proporti
 # A retuner that can identify nothing: small steps by the pattern, watched by the guard, and none for other causes.
 
 
-CALM = PidGains(1.25, 1.25 / 40)
-"""A quarter of the right gain: slow, and far from any limit."""
+CALM = PidGains(1.25, 1.25 / 40)  # A quarter of the right gain: slow, and far from any limit
 NOTHING_IDENTIFIABLE = FitSettings(gain_std_limit=1e-9)
 SETTINGS = RetunerSettings(1.0, 10.0, Mode.AUTO, fit=NOTHING_IDENTIFIABLE)
 

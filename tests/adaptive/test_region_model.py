@@ -26,8 +26,7 @@ from retuner.schedule.gains import PidGains
 STILL = TrackerSettings(walk_per_day=0.0, walk_per_record=0.0, drift_per_record=0.0, scatter=0.0)
 SCATTERED = TrackerSettings()
 FIT = FitSettings()
-UP, DOWN = PidGains(2.0, 0.05), PidGains(-2.0, -0.05)
-"""Gains in force."""
+UP, DOWN = PidGains(2.0, 0.05), PidGains(-2.0, -0.05)  # Gains in force
 
 
 def records(loop: Callable, count: int, k: float = 1.0, first: int = 0) -> list:

@@ -167,8 +167,7 @@ def test_a_dead_time_too_short_to_be_seen_bounds_more_action_and_says_nothing_ag
 
 
 TWO_LAGS = ProcessModel(ProcessType.SOPDT, 1.0, 100.0, 40.0, 8.0)
-ONE_LAG = ProcessModel(ProcessType.FOPDT, 1.0, 120.0, 0.0, 28.0)
-"""What a first-order fit sees of the first."""
+ONE_LAG = ProcessModel(ProcessType.FOPDT, 1.0, 120.0, 0.0, 28.0)  # What a first-order fit sees of the first
 PID_LOOP, PI_LOOP = PidGains(3.0, 0.03, 60.0), PidGains(3.0, 0.03)
 
 

@@ -221,8 +221,7 @@ def test_features_are_simcs_settings_with_their_spread() -> None:
 REGIONS = Regions("pv", "degC", ("low", "middle", "high"), 0.0, (33.0, 67.0), 99.0, 1.0)
 STILL = TrackerSettings(walk_per_day=0.0, walk_per_record=0.0, scatter=0.02)
 THETA_S, TAU_S = 8.0, 40.0
-STEEP = 60.0
-"""Factor of the gain from the lowest region's centre to the highest: 8 in each."""
+STEEP = 60.0  # Factor of the gain from the lowest region's centre to the highest: 8 in each
 
 
 def log_of(k: float, variance: float = 2e-4) -> LogModel:

@@ -14,15 +14,13 @@ from retuner.schedule.gains import PidGains
 
 PROCESS = LinearProcess(2.0, (20.0,), theta_s=5.0)
 GAINS = PidGains(1.0, 0.05)
-DT_S, BAND = 0.5, 1.5
-"""The valve's band is a third of what it travels in the second step."""
+DT_S, BAND = 0.5, 1.5  # The valve's band is a third of what it travels in the second step
 VALVES = (
     StuckValve(Family.KANO, BAND, 0.0),
     StuckValve(Family.KANO, BAND, 0.6 * BAND),
     StuckValve(Family.HE, BAND, 0.6 * BAND),
 )
-BEFORE, KEPT, AFTER = 200, 40, 400
-"""Samples before the second step, those of them that are kept, and after it."""
+BEFORE, KEPT, AFTER = 200, 40, 400  # Samples before the second step, those of them that are kept, and after it
 
 
 def stepped(valve: StuckValve | None, load: float = 0.0, seed: int = 1) -> Window:

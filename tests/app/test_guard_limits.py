@@ -12,8 +12,7 @@ from retuner.errors import UserError
 from retuner.session.assembly import guard_settings, retuner_settings
 
 OVEN = Path(__file__).resolve().parents[2] / "examples" / "oven.toml"
-NOT_SETTABLE = {"corner_std"}
-"""What follows from another setting, or stands in where nothing better is known."""
+NOT_SETTABLE = {"corner_std"}  # What follows from another setting, or stands in where nothing better is known
 
 
 def configured(tmp_path: Path, limits: str) -> GuardSettings:

@@ -14,8 +14,7 @@ import retuner
 from retuner import Action, Axis, GainTable, Mode, PidController, PidGains, Regions
 from retuner.schedule.pid import StateTuple, law, start, step
 
-WEAK = PidGains(kp=12.0, ki=0.3)
-"""A quarter of the right gain for the tank."""
+WEAK = PidGains(kp=12.0, ki=0.3)  # A quarter of the right gain for the tank
 
 
 class Tank:

@@ -98,8 +98,7 @@ CAUSES: dict[str, Callable[[Wire], object]] = {
 }
 
 
-EDITED = {"operator edit", "one after the other"}
-"""Causes after which a person's set runs, and is held."""
+EDITED = {"operator edit", "one after the other"}  # Causes after which a person's set runs, and is held
 
 
 @pytest.mark.parametrize(

@@ -17,8 +17,7 @@ ROOMS = (
     "src/retuner/gain_export",
 )
 LENGTH = 4_000
-MOST_S = 0.06
-"""CPU time; a pattern that tries every split takes 8 million steps, 0.2 s at the least."""
+MOST_S = 0.06  # CPU time; a pattern that tries every split takes 8 million steps, 0.2 s at the least
 PUMPED = ("1", "1,", "1.", "-1", "a", "A", "aA1 ", "1 ", *" \t\n[(", "# ", "[0000]", '"', "\\", "'", "=", "e1")
 ENDS = ("", "x", "!", "]", "\n", "e+")
 HEADS = ("", "[", '"', "1", "# ", "BaudRate_")

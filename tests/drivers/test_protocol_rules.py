@@ -18,8 +18,7 @@ ROOT = HERE.parents[1]
 PAGE = (ROOT / "docs" / "developers" / "protocol.md").read_text(encoding="utf-8")
 RULES = tomllib.loads((HERE / "protocol_rules.toml").read_text(encoding="utf-8"))
 HOLDERS = {"conformance", "vectors", "layer", "host", "open"}
-NO_RULES = {"What this version does not do", "A session, byte by byte"}
-"""Chapters that tell and ask nothing."""
+NO_RULES = {"What this version does not do", "A session, byte by byte"}  # Chapters that tell and ask nothing
 
 
 def plain(text: str) -> str:

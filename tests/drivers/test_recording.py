@@ -277,8 +277,7 @@ def test_a_signal_of_a_bus_log_may_be_the_further_one(tmp_path: Path) -> None:
 
 # ---- Telemetry and heartbeats of the past sent again: the session's clock never runs ahead of the controller's
 
-BEAT = 5
-"""Samples between two heartbeats, here."""
+BEAT = 5  # Samples between two heartbeats, here
 LEARNING, KNOWN = 100, 2 * BEAT
 """Samples that the clock may be ahead of the controller: before its rhythm is known, and then."""
 

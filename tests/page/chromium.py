@@ -30,8 +30,7 @@ FLAGS = (
     "--disable-component-update",
     "--disable-sync",
 )
-WITHIN_S = 60
-"""Longest wait for something to be seen: a busy machine is slow, and nothing is measured here."""
+WITHIN_S = 60  # Longest wait for something to be seen: a busy machine is slow, and nothing is measured here
 
 
 class Seen:

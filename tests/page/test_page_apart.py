@@ -18,8 +18,7 @@ from stepped import Server, Stepped, serving, stepped
 
 pytestmark = [pytest.mark.slow, pytest.mark.uncounted]
 
-BEFORE, AFTER = 400, 1200
-"""Turns before and after the page is treated badly: two decisions lie in the second part."""
+BEFORE, AFTER = 400, 1200  # Turns before and after the page is treated badly: two decisions lie in the second part
 
 
 def outcome(session: Stepped) -> tuple[str, str, int]:

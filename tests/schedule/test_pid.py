@@ -251,8 +251,7 @@ def test_whatever_happens_the_state_stays_finite(settings, steps, odd_dt):
 # ---- Changes of gains, b and tau_f without a bump: in range, at either limit, under a rate limit
 
 SPAN = 100.0
-BUMP = 1e-9 * SPAN
-"""What the issue allows, two-sided."""
+BUMP = 1e-9 * SPAN  # What the issue allows, two-sided
 
 Case = tuple[PidLaw, PidLaw, PidState, float, float, float]
 

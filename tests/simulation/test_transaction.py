@@ -14,8 +14,7 @@ from retuner.drivers.host.can_settings import CanDeviceSettings
 from retuner.schedule.gains import PidGains
 
 KEY = bytes(range(16))
-SAMPLE_S, CONNECTED = 2.0, 8
-"""Of the controller; samples after which the order is given, right after a poll."""
+SAMPLE_S, CONNECTED = 2.0, 8  # Of the controller; samples after which the order is given, right after a poll
 
 
 @pytest.mark.parametrize(("polls", "samples"), [(1, 3.0), (2, 1.5), (4, 1.25), (10, 1.1)])

@@ -49,8 +49,7 @@ EFFORTS = {
         Effort("nightly", 10.0, "", derandomize=False),
     )
 }
-EXAMPLES = 100
-"""Of a test that says no number, at full share."""
+EXAMPLES = 100  # Of a test that says no number, at full share
 LEAST_EXAMPLES = 5
 
 _chosen = os.environ.get(VARIABLE) or "quick"

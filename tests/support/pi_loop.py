@@ -10,8 +10,7 @@ from numpy.typing import ArrayLike
 from retuner.adaptive.signals.sample import FloatArray, LoopSample, Window
 from retuner.schedule.gains import PidGains
 
-Process = Callable[[float, float], float]
-"""From the output that was sent a sample ago, and the load now, to pv now."""
+Process = Callable[[float, float], float]  # From the output that was sent a sample ago, and the load now, to pv now
 
 
 class Lag:

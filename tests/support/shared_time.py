@@ -6,8 +6,7 @@ import time
 
 import pytest
 
-STUCK_S = 60.0
-"""Of real time that a thread is waited for; more means that it hangs or has ended without leaving."""
+STUCK_S = 60.0  # Of real time that a thread is waited for; more means that it hangs or has ended without leaving
 
 
 class SharedTime:

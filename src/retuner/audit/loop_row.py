@@ -44,12 +44,10 @@ SCHEMA = 6  # version of a row's keys
 OWN_SWING = frozenset({Cause.AGGRESSIVE, Cause.SLOW_INTEGRATING})  # causes by which a loop oscillates of itself
 DRAWN = 1_200  # points of a trend that are drawn: twice as many as a screen has columns, lowest and highest of each
 DRAWN_OF_A_STRETCH = 600
-FEWEST_PARTS = 2
-"""Days or weeks of a loop that are a course."""
+FEWEST_PARTS = 2  # Days or weeks of a loop that are a course
 HALF = 0.5  # no confidence is told of what is no likelier than not
 Row = dict[str, object]
-Trend = dict[str, list[float]]
-"""Times and signals of a picture."""
+Trend = dict[str, list[float]]  # Times and signals of a picture
 
 
 @dataclass(frozen=True, slots=True)

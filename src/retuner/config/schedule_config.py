@@ -19,8 +19,7 @@ Dials = tuple[Dial, Dial, Dial]
 GAIN_KEYS = ("kc", "gain", "pb_pct")
 INTEGRAL_KEYS = ("tau_i_s", "tau_i_min", "repeats_per_min")
 DERIVATIVE_KEYS = ("tau_d_s", "tau_d_min")
-EVERY_KEY = (GAIN_KEYS, INTEGRAL_KEYS, DERIVATIVE_KEYS)
-"""Keys of a region that say the same in other units, by action."""
+EVERY_KEY = (GAIN_KEYS, INTEGRAL_KEYS, DERIVATIVE_KEYS)  # Keys of a region that say the same in other units, by action
 NO_INTEGRAL = "none"  # how a person writes "no integral action": leaving it out by mistake must not mean the same
 STALE_AFTER_S = 10.0
 Edge = Annotated[float, Field(ge=-1e9, le=1e9)]

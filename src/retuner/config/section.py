@@ -98,8 +98,7 @@ def setting(
 COUNTED = ("characters", "entries")
 AnySection = TypeVar("AnySection", bound=Section)
 ALL: Mapping[str, dict[str, Any]] = MappingProxyType({})
-GREATEST = 1e9
-"""What a setting that is a positive number without a limit may be in the file."""
+GREATEST = 1e9  # What a setting that is a positive number without a limit may be in the file
 
 
 def holding(

@@ -20,8 +20,7 @@ WHOLE_STEP = 0.999  # A step of at least this share is the whole one to a reader
 SWINGING_PEAK_RATIO = 3.0
 """Ratio of the second peak to the first, or to the step, from which nobody speaks of overshoot."""
 VERBS = {"commit": "written", "advise": "proposed", "restore": "rolled back"}
-LATER = "in the table, to be written when the loop enters the region"
-"""What is done with other gains, by action."""
+LATER = "in the table, to be written when the loop enters the region"  # What is done with other gains, by action
 INTEGRATING = {ProcessType.INTEGRATING, ProcessType.INTEGRATING_LAG, ProcessType.DOUBLE_INTEGRATING}
 
 

@@ -22,8 +22,7 @@ TONES = {
     MARK: "bad",
 } | {band: f"band{i}" for i, band in enumerate(BANDS)}
 """Which colour of the pages' palette (templates/palette.css) each is: drawings follow light and dark."""
-MOST_POINTS = 900
-"""Points of a drawn curve."""
+MOST_POINTS = 900  # Points of a drawn curve
 
 
 def thinned(x: FloatArray, y: FloatArray, most: int = MOST_POINTS) -> tuple[FloatArray, FloatArray]:

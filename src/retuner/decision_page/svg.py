@@ -19,8 +19,7 @@ from retuner.templates import palette
 
 _COLOUR = re.compile("|".join(TONES))
 DPI = 110
-KINDS = (".png", ".svg")
-"""Endings of the files that a drawing is written to."""
+KINDS = (".png", ".svg")  # Endings of the files that a drawing is written to
 _PATH = re.compile(r' d="[^"]*"')
 _DECIMALS = re.compile(r"(\.\d)\d+")
 _HEAD = re.compile(r"^.*?(?=<svg)", re.DOTALL)

@@ -15,8 +15,7 @@ from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable
 
 GAINS = PidGains(0.6, 0.01)
-K, LAG, DEAD = 1.0, 60.0, 10
-"""The process: gain, lag in samples, dead time in samples of a second."""
+K, LAG, DEAD = 1.0, 60.0, 10  # The process: gain, lag in samples, dead time in samples of a second
 STEPS_AT, LONGEST = (40, 500), 1200  # samples of the setpoint's steps to and fro, and the last one
 DECISIONS = 2
 

@@ -26,8 +26,7 @@ from retuner.schedule.vendor_units import Quantity
 SAME = 1.0 + 1e-9
 """Factor within which gains that went through a form and back are the same, where no controller can hold them."""
 NO_INTEGRAL = "none"
-DIGITS = range(1, 18)
-"""Significant digits that are tried; 17 tell every float64."""
+DIGITS = range(1, 18)  # Significant digits that are tried; 17 tell every float64
 Same = Callable[[PidGains, PidGains], bool]
 
 

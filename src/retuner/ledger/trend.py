@@ -16,8 +16,7 @@ COLUMNS = ("t", "sp", "pv", "co", "x", "mode", "limited", "region", "sequence", 
 """t in s, sp and pv in pv units, co in percent, region as index, sequence of the gain set, parallel gains."""
 COLUMNS_2 = (*COLUMNS, "x2")  # columns where there are two scheduling variables
 WHOLE = frozenset({"mode", "limited", "region", "sequence"})
-ROWS_MAX = 2_000_000
-"""Rows of a trend that are kept: 190 MB, 46 days at a sample every 2 s, 5.5 hours at 100 a second."""
+ROWS_MAX = 2_000_000  # Rows of a trend that are kept: 190 MB, 46 days at a sample every 2 s, 5.5 hours at 100 a second
 
 
 class Rows:

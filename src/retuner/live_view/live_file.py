@@ -23,8 +23,7 @@ import numpy as np
 from retuner.adaptive.signals.sample import FloatArray
 
 MAGIC = b"retuner live 1\n\0"
-SLOT = 65536
-"""Bytes of the head and of the state."""
+SLOT = 65536  # Bytes of the head and of the state
 RING = 32768  # samples in a ring
 RINGS = 7  # Rings: at 50 samples a second the first one reaches back 11 minutes and the last one a month
 BLOCK = 8  # samples of a ring of which two go on into the next
@@ -33,13 +32,11 @@ FIELDS = ("t", "sp", "pv", "co", "region", "limited", "kp", "ki", "kd")
 SAMPLE = struct.Struct(f"<{len(FIELDS)}d")
 DOCUMENT = struct.Struct("<II")
 COUNT = struct.Struct("<Q")
-COUNTS = len(MAGIC)
-"""Where the rings' counts stand."""
+COUNTS = len(MAGIC)  # Where the rings' counts stand
 HEAD = 512
 STATE = SLOT
 SAMPLES = 2 * SLOT
-TRIES = 4
-"""Looks at a document that is being written, before it is taken for not there."""
+TRIES = 4  # Looks at a document that is being written, before it is taken for not there
 
 Row = tuple[float, ...]
 

@@ -63,8 +63,7 @@ def _share(values: Sequence[float], i: int, width: int) -> float:
 
 INDENT = 11  # columns before the second line of a decision: as many as its time takes
 LONGEST_TRACE = 60
-PANEL_LINES = 6
-"""Lines of a loop with all that can be seen of it."""
+PANEL_LINES = 6  # Lines of a loop with all that can be seen of it
 
 
 def fitted(text: Text, width: int) -> Text:

@@ -10,8 +10,7 @@ from retuner.decision_page.panel import Panel, Stroke, page_of, room, stacked
 from retuner.report.scores import Columns, Twin, axis_floors
 from retuner.schedule.regions import Regions
 
-DENSE = 2400
-"""Points of a curve over a whole run."""
+DENSE = 2400  # Points of a curve over a whole run
 NAMED_SHARE = 0.05  # a region is named over the first stay in it that takes such a share of the run
 TREND, TREND_HEIGHTS, TREND_ROOM = 9360, (2250, 1240, 790), (490, 94, 380, 520)  # width; panels; room around them
 TWIN, TWIN_HEIGHTS, TWIN_ROOM = 4536, (1700, 1000), (340, 70, 370, 500)

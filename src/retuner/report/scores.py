@@ -33,8 +33,7 @@ def axis_floors(pv: FloatArray) -> tuple[float, float]:
 
 Linearise = Callable[..., LinearProcess]  # true process at a pv, and at a load where that is not 0
 Columns = dict[str, FloatArray]
-SETTLING = 10
-"""Samples after a setpoint step in which another event still counts as the same one."""
+SETTLING = 10  # Samples after a setpoint step in which another event still counts as the same one
 POINTS = 9  # operating points per region at which the true Ms is looked at
 
 

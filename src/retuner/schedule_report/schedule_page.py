@@ -169,8 +169,7 @@ def limit_sentence(found: ScheduleDesign) -> str:
 # ---- The picture of a schedule: records, the process over the variable, gains, Ms and J before and after
 
 FINE = 201
-SHOWN_MS, SHOWN_J = 3.0, 3.0
-"""Largest values that the axes make room for."""
+SHOWN_MS, SHOWN_J = 3.0, 3.0  # Largest values that the axes make room for
 MOST_POINTS = 2400  # points of a record that are drawn
 CURVES = (("k", "process gain k"), ("tau", "lag [s]"), ("theta", "dead time [s]"))
 

@@ -19,8 +19,7 @@ KEPT = 500  # messages kept for those who come back: 20 s of them
 AT_ONCE = 250  # samples of a loop in a message; where there are more (simulated time) they are thinned
 SILENT_TICKS = 125  # ticks after which a word is said though nothing has moved, so that a dead connection is noticed
 DECIMALS = 6
-COLUMNS = 6
-"""The first so many FIELDS go out: t, sp, pv, co, region, limited."""
+COLUMNS = 6  # The first so many FIELDS go out: t, sp, pv, co, region, limited
 
 
 class Message:

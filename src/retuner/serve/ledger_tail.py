@@ -13,8 +13,7 @@ from retuner.session.order_queue import OrderState, shown
 
 ROWS_KEPT = 20_000  # rows in words that are kept, the newest ones; `retuner ledger` has all of them
 DECISIONS_KEPT = 2_000
-AT_ONCE = 500
-"""Rows read in one turn: nobody holds the file longer than that takes."""
+AT_ONCE = 500  # Rows read in one turn: nobody holds the file longer than that takes
 
 Document = dict[str, object]
 

@@ -14,8 +14,7 @@ from retuner.schedule.late_dataclass import dataclass
 LASTS_S = 900.0  # A session ends so long after its last act
 LONGEST_S = 8 * 3600.0  # longest time after it began: a shift
 MOST_SESSIONS = 100
-MOST_CLIENTS = 10_000
-"""Addresses of which the rate is remembered."""
+MOST_CLIENTS = 10_000  # Addresses of which the rate is remembered
 
 
 class Bucket:

@@ -16,8 +16,7 @@ from retuner.serve.address import ServeOptions, lines, listening
 
 NEEDED = ("starlette", "uvicorn")
 MISSING = 'the page needs starlette and uvicorn; pip install "retuner[page]"'
-ENDS_WITHIN_S = 3.0
-"""Time after which a server that was told to end is ended."""
+ENDS_WITHIN_S = 3.0  # Time after which a server that was told to end is ended
 
 
 def require_page() -> None:

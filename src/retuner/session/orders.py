@@ -29,8 +29,7 @@ from retuner.schedule.plain_values import plain_values
 from retuner.session.outputs import ORDERS
 
 TAKEN, REFUSED = "taken", "refused"
-LARGEST = 4096
-"""Bytes of an order file."""
+LARGEST = 4096  # Bytes of an order file
 LONGEST = 200  # characters of a text in it
 MOST_DECISIONS = 10**9  # largest number of a decision
 MOST_AT_ONCE = 16  # files looked at in one turn; the rest waits for the next one

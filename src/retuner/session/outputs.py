@@ -36,8 +36,7 @@ MEMORY, MEMORY_BEFORE, MEMORY_START = "memory.json", "memory-before.json", "memo
 ORDERS = "orders"
 LIVE = "live"
 LOOPS = "loops"
-LOG_NAME = re.compile(r"(?:pretune-)?bus(?:_[0-9]+)?(?:-[0-9]+)?\.blf")
-"""Logs of buses and their parts."""
+LOG_NAME = re.compile(r"(?:pretune-)?bus(?:_[0-9]+)?(?:-[0-9]+)?\.blf")  # Logs of buses and their parts
 REFINED, REFINED_SCHEDULE = "refined.toml", "refined-schedule.toml"
 """A schedule that the records ask for, as a gain table and as the [schedule] of a configuration."""
 OURS = {LEDGER, REPORT, SUMMARY, GAINS, REFINED, REFINED_SCHEDULE, BUS_LOG, CONFIG, MEMORY, MEMORY_BEFORE, MEMORY_START}

@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLUMNS = ("t", "sp", "pv", "co", "kp", "ki", "kd")
-Frame: TypeAlias = Any
-"""A pandas.DataFrame; pandas is not imported until asked for."""
+Frame: TypeAlias = Any  # A pandas.DataFrame; pandas is not imported until asked for
 
 
 @dataclass(frozen=True, slots=True)

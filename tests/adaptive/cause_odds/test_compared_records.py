@@ -13,8 +13,7 @@ from retuner.schedule.gains import PidGains
 
 PERIOD, N = 24.0, 480
 SETPOINT = np.repeat([0.0, 20.0, 5.0, 25.0], N // 4)
-GOOD, TIGHT = PidGains(1.6, 0.08), PidGains(4.8, 0.24)
-"""Ms 1.4 and 3.7 on the loop below."""
+GOOD, TIGHT = PidGains(1.6, 0.08), PidGains(4.8, 0.24)  # Ms 1.4 and 3.7 on the loop below
 
 
 def swung(gains: PidGains, seed: int) -> Window:

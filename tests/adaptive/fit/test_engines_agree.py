@@ -32,10 +32,8 @@ from retuner.adaptive.valve.valve_model import StuckValve
 from retuner.schedule.gains import PidGains
 
 compiled = pytest.importorskip("retuner.adaptive.fit.compiled", reason="the compiled engine was not built: no compiler")
-POINTS = sized(40, 40, 1000)
-"""Random points of every structure."""
-CLOSE = 1e-9
-"""Largest difference, as a share of the largest value."""
+POINTS = sized(40, 40, 1000)  # Random points of every structure
+CLOSE = 1e-9  # Largest difference, as a share of the largest value
 DEPENDENT = 1e8
 """Above this condition of the columns, the coefficients are not told from each other in double precision."""
 

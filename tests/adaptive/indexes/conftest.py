@@ -5,8 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-PERIOD = 40.0
-"""Samples per period of the waves."""
+PERIOD = 40.0  # Samples per period of the waves
 
 
 def a_wave(kind: str, n: int = 1000, period: float = PERIOD, phase: float = 0.0) -> np.ndarray:

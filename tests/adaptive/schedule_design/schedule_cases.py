@@ -10,12 +10,10 @@ import numpy as np
 from retuner.adaptive.signals.sample import Window
 
 C, THETA_S, SLOWEST_S = 0.05, 5.0, 60.0
-GROWTH = 1 / 3000
-"""tau falls from 60 s at 0 to 20 s at 100."""
+GROWTH = 1 / 3000  # tau falls from 60 s at 0 to 20 s at 100
 SETPOINTS = (20.0, 35.0, 50.0, 65.0, 80.0, 60.0, 45.0, 25.0)
 HOLD_S = 150
-FINE = 4
-"""Steps in a sample."""
+FINE = 4  # Steps in a sample
 
 
 def tau_s(y: float, growth: float = GROWTH) -> float:

@@ -151,8 +151,7 @@ HAPPENS: dict[str, Callable[[World], None]] = {
     "other proposed": partial(World.proposed, region=1),
     "other runs away": partial(World.cause, region=1, cause=E.RUNAWAY),
 }
-ASKED = {cause.name for cause in SILENT}
-"""After these it is asked which of the two sets is the more robust."""
+ASKED = {cause.name for cause in SILENT}  # After these it is asked which of the two sets is the more robust
 KNOWN = {"one model": Known(PROCESSES[:1]), "two models": Known(PROCESSES), "none": Known(())}
 
 

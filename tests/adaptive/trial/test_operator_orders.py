@@ -278,8 +278,7 @@ HARMLESS = SETTINGS.trial.harmless_ms
 LOG = LogModel(np.log([0.02, 5.0, 50.0]), 1e-4 * np.eye(3), 1)
 KNOWN = RegionModel((StructureModel(LOG, 0.0),), 3, 0.0, plausible=spread(LOG))
 RIGHT = simc(LOG.model().seen_by_controller(1.0)).gains
-FACTORS = (0.25, 1.0, 2.2, 8.0)
-"""Sluggish, right, swinging, unstable."""
+FACTORS = (0.25, 1.0, 2.2, 8.0)  # Sluggish, right, swinging, unstable
 
 
 def times(factor: float) -> PidGains:

@@ -277,8 +277,7 @@ TRUE = [
     for k, theta in product((1.0, 0.9, 1.1), (1.0, 0.9, 1.1))
 ]
 SLUGGISH = BAD["kc /4"]
-STRONG = PidGains(1.8 * GOOD.kp, 1.8 * GOOD.ki)
-"""Ms about 2.8: no runaway, and hardly a swing after a load."""
+STRONG = PidGains(1.8 * GOOD.kp, 1.8 * GOOD.ki)  # Ms about 2.8: no runaway, and hardly a swing after a load
 
 
 def lie(tried: PidGains, k: float) -> Prediction:

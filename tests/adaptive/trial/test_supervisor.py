@@ -20,8 +20,7 @@ from retuner.schedule.gains import PidGains
 P, E = TrialPhase, TrialEvent
 OLD, NEW, PERSONS = PidGains(1.0, 0.1), PidGains(2.0, 0.2), PidGains(1.5, 0.1)
 KNOWN = StillAllowed((LinearProcess(1.0, (10.0,), (), 1.0),))  # on which all of them are robust
-STAYS = (P.PAUSED, P.ENSURING)
-"""Phases that only a set comes into that stays by what is known."""
+STAYS = (P.PAUSED, P.ENSURING)  # Phases that only a set comes into that stays by what is known
 TAU_I_S = 10.0
 
 

@@ -19,8 +19,7 @@ from retuner.report.console import screen_console
 from retuner.verbosity import quiet
 
 JOINED = "names.toml"
-SHOWN = 10
-"""Loops that are told on the screen; the page has all."""
+SHOWN = 10  # Loops that are told on the screen; the page has all
 
 
 def audit(options: AuditOptions) -> int:

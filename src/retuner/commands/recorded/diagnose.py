@@ -215,8 +215,7 @@ def loop_words(loop: LoopScreen) -> str:
 
 
 DAY_S = 86_400.0
-THOUSAND = 1000.0
-"""Numbers from here on are written whole."""
+THOUSAND = 1000.0  # Numbers from here on are written whole
 
 
 def _next(found: DiagnosedRecord) -> list[str]:
