@@ -11,17 +11,25 @@ from effort import examples, sized
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pi_loop import Lag, pi_loop
+from test_setpoint_steps import LAW, WALK, sequences
 
+import retuner
 from retuner.adaptive.choice.choice_settings import ChoiceSettings
 from retuner.adaptive.choice.expected_cost import Choosable, LoopSettings, outlooks
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
+from retuner.adaptive.diagnosis.diagnose import diagnose_window
+from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.oscillation_online import SwingSettings
+from retuner.adaptive.diagnosis.rival_fits import linear, room_for_a_tone
 from retuner.adaptive.diagnosis.second_opinion import last_two
+from retuner.adaptive.diagnosis.sticking_valve import stiction_or_tone
 from retuner.adaptive.fit.dynamics import Dynamics, SamplingInstants
 from retuner.adaptive.fit.misfit import Misfit
 from retuner.adaptive.fit.record import Record
 from retuner.adaptive.fit.refine import EXACT, refine
-from retuner.adaptive.fit.structure import THETA
+from retuner.adaptive.fit.structure import THETA, dynamics_at
+from retuner.adaptive.identification import by_likelihood
+from retuner.adaptive.identification.by_likelihood import TYPE, Likelihood, Likely, middle, runs_away, whitening
 from retuner.adaptive.identification.candidate import judged
 from retuner.adaptive.identification.fitted_curve import fitted_pv
 from retuner.adaptive.identification.identify import OPEN_LOOP, Fits, FitSettings, estimate_of, fitted, identify_window
@@ -35,9 +43,12 @@ from retuner.adaptive.identification.loads import (
 )
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.identification.structure_choice import asked_for, too_few
+from retuner.adaptive.indexes.screening import screen
+from retuner.adaptive.loop.sampled import SampledLaw, setpoint_response
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.signals.response import Ending, Response
 from retuner.adaptive.signals.sample import LoopSample, Window
+from retuner.adaptive.valve.slips import ROWS_PER_STEP, _greedy
 from retuner.api import _unless_pv_stands, identify, identify_record
 from retuner.commands.recorded.identify import described
 from retuner.commands.recorded.other_cause import contradiction
@@ -433,3 +444,166 @@ def test_a_model_that_leaves_much_beside_what_it_explains_is_not_identified(loop
     swing = 0.12 * np.sign(np.sin(window.t_s / 9.0)) * np.abs(np.sin(window.t_s / 31.0))
     found = identify_window(Window(window.t_s, window.sp, window.pv + swing, window.co), 1)
     assert not found.identifiable
+
+
+# Records with hardly more samples than a hypothesis has unknowns: whatever they hold, an answer comes
+
+
+@pytest.mark.parametrize("seed", [19, 112, 243])
+def test_more_unknowns_than_samples_are_not_asked_for(seed: int) -> None:
+    """These three stopped a tone, a load and the steps of a valve: "more unknowns than samples"."""
+    rng = np.random.default_rng([seed, 77])
+    n, dt_s = int(rng.integers(8, 90)), float(rng.choice([0.01, 0.1, 1, 60]))
+    noise, kp = float(rng.choice([0.0, 1e-3, 0.02, 0.2, 1.0])), float(rng.choice([0.1, 0.5, 1, 3]))
+    ki = kp / dt_s / float(rng.choice([2, 5, 20]))
+    tau, theta = float(rng.choice([1, 4, 20])), int(rng.integers(0, 6))
+    sp, load = np.zeros(n), np.zeros(n)
+    for _ in range(int(rng.integers(0, 3))):
+        sp[int(rng.integers(1, n)) :] = rng.normal()
+    for _ in range(int(rng.integers(0, 4))):
+        load[int(rng.integers(0, n)) :] += rng.normal()
+    quantum, band = float(rng.choice([0, 0, 0.05, 0.3])), float(rng.choice([0, 0, 0.1, 0.5]))
+    x = integral = stem = 0.0
+    pv, co, u = np.zeros(n), np.zeros(n), np.zeros(n)
+    for i in range(n):
+        seen = x + noise * rng.normal()
+        pv[i] = round(seen / quantum) * quantum if quantum else seen
+        integral += ki * dt_s * (sp[i] - pv[i])
+        co[i] = np.clip(kp * (sp[i] - pv[i]) + integral, -5, 5)
+        stem = co[i] if abs(co[i] - stem) > band else stem
+        u[i] = stem
+        x += ((u[i - theta] if i >= theta else 0.0) - x + load[i]) / tau
+    found = diagnose_window(Window(np.arange(n) * dt_s, sp, pv, co), PidGains(kp, ki, 0.0)).diagnosis
+    assert found.cause in Cause
+    assert found.reason
+
+
+@pytest.mark.parametrize("n", [10, 23, 40])
+def test_steps_leave_samples_that_could_speak_against_them(n: int) -> None:
+    pv = np.random.default_rng(n).normal(size=n).round(0)
+    _, rows = _greedy(pv, 0.5, 0.0)
+    assert len(rows) <= n // ROWS_PER_STEP
+
+
+@pytest.mark.parametrize("n", [14, 15, 18, 24])
+def test_a_record_that_no_tone_fits_into_has_no_rivals(n: int) -> None:
+    """A response of many small setpoint moves, as a watching retuner asks of it, not as `diagnose` does."""
+    t, settings, rng = np.arange(float(n)), DiagnosisSettings(), np.random.default_rng(n)
+    sp = np.cumsum(np.where(t % 7 == 0, rng.choice([-0.3, 0.3], n), 0.0))
+    pv = np.concatenate([[0.0], 0.9 * sp[:-1]]) + 0.01 * rng.standard_normal(n)
+    window = Window(t, sp, pv, np.cumsum(sp - pv) * 0.2 + sp - pv)
+    best = linear(window, (1,), settings.fit.choice, settings.fit.most_samples)[0]
+    found = stiction_or_tone(best, screen(window, PidGains(1.0, 0.2), in_auto=True), settings)
+    assert (found.verdict is None) or room_for_a_tone(best)
+
+
+def many_gaps(n: int) -> tuple[np.ndarray, ...]:
+    """A random record of n samples with a gap after every third one: each is a start with unknowns of its own."""
+    rng = np.random.default_rng(n)
+    t = np.cumsum(np.where(np.arange(n) % 3 == 0, 9.0, 1.0))
+    return t, np.where(np.arange(n) > n // 3, 1.0, 0.0), np.cumsum(rng.normal(size=n)), np.cumsum(rng.normal(size=n))
+
+
+@pytest.mark.parametrize("n", [3, 5, 8, 12, 16, 20])
+def test_a_record_with_fewer_samples_than_unknowns_says_so(n: int) -> None:
+    """It had said "more unknowns than samples", or "search: most or the grid is outside its range"."""
+    with pytest.raises(ValueError, match="are fewer than a process and its starts have unknowns"):
+        retuner.identify(*many_gaps(n))
+    assert retuner.diagnose(*many_gaps(n)).cause is Cause.UNKNOWN
+
+
+@pytest.mark.slow
+def test_the_fewest_samples_that_are_enough_are_fitted() -> None:
+    for n in range(20, 34):
+        if not too_few(Window(*many_gaps(n))):
+            assert retuner.identify(*many_gaps(n)).estimate.log.type
+            retuner.diagnose(*many_gaps(n))
+
+
+# Setpoint steps and the loads beside them in one likelihood: exact where theory gives the number
+
+
+START = np.log([1 / 50, 5.0, 50.0, 1.0])  # slope gain, dead time, sum of the lags, second lag: near the bench's
+
+
+def test_the_filter_leaves_of_its_own_process_what_was_never_foretold() -> None:
+    """An autoregressive process of second order has two terms, and its innovations are what is left."""
+    first, second, innovations = 1.5, -0.7, 0.25
+    r = np.zeros(12)
+    r[0] = innovations * (1 - second) / ((1 + second) * ((1 - second) ** 2 - first**2))  # Yule & Walker
+    r[1] = first * r[0] / (1 - second)
+    for k in range(2, 12):
+        r[k] = first * r[k - 1] + second * r[k - 2]
+    a, variance = whitening(r, 5)
+    assert a == pytest.approx([1.0, -first, -second, 0.0, 0.0, 0.0], abs=1e-9)
+    assert variance == pytest.approx(innovations)
+
+
+@pytest.mark.parametrize(("kd", "filter_s"), [(0.0, 0.0), (3.0, 2.0)])
+def test_process_and_controller_over_frequency_are_those_of_the_loop_in_time(kd: float, filter_s: float) -> None:
+    law, n, dead_s = SampledLaw(PidGains(2.0, 0.05, kd), 1.0, 1.0, filter_s), 4096, 5.3
+    p = np.array([math.log(0.02), math.log(dead_s), math.log(50.0), math.log(2.0)])
+    held = math.exp(p[0]) * dynamics_at(TYPE, p).step(np.arange(n, dtype=np.float64) - dead_s)
+    response = np.diff(setpoint_response(np.asarray(held), law), prepend=0.0)
+    at = np.array([5, 100, 900])
+    z1 = by_likelihood._z1()
+    process, controller = by_likelihood._process(p, 1.0), by_likelihood._controller(law)
+    from_sp = law.gains.kp + law.gains.ki * z1 / (1 - z1)
+    seen = response @ z1[at] ** np.arange(n)[:, None]
+    assert (process * from_sp / (1 + process * controller))[at] == pytest.approx(seen, abs=1e-6)
+
+
+def likely(gains: float, walk: float, seed: int) -> Likely:
+    own = sequences(2, walk, PidGains(gains, gains / 40, 0.0), seed=seed)
+    found = Likelihood(own, 1, *LAW).best([START])
+    assert found is not None
+    return found
+
+
+def test_of_a_loop_with_a_small_gain_the_loads_tell_the_process() -> None:
+    """ln of the slope gain, where its controller hardly moves co, as surely as is claimed."""
+    found = likely(0.6, WALK, seed=4)
+    std = math.sqrt(found.own[0, 0])
+    assert abs(found.p[0] - START[0]) <= 2.5 * std
+    assert std < 0.5
+    spread = math.exp(found.p[by_likelihood.LOAD]) / WALK
+    assert 0.5 < spread < 2.0
+
+
+def test_what_is_claimed_is_the_width_of_the_likelihood() -> None:
+    own = sequences(2, WALK)
+    likelihood = Likelihood(own, 1, *LAW)
+    best = likelihood.best([START])
+    assert best is not None
+    at_one = [excess for _, excess in likelihood.around(best)][1 :: len(by_likelihood.AXES)]
+    assert all(0.3 < excess < 2.5 for excess in at_one[:2])
+    assert likelihood.around(best)[0][1] == 0.0
+
+
+def test_the_middle_model_stands_for_ends_that_are_hardly_told_apart() -> None:
+    ends = [(START + lag * np.eye(4)[2], 0.0) for lag in (-0.5, -0.2, 2.0)]
+    assert middle(ends, 1, 1.0) == 1
+    surely = [(x, 0.0 if i == 2 else 12.0) for i, (x, _) in enumerate(ends)]
+    assert middle(surely, 1, 1.0) == 2
+
+
+def test_a_loop_that_would_run_away_has_no_likelihood() -> None:
+    (one,) = sequences(1, 0.01)
+    likelihood = Likelihood([one], 1, *LAW)
+    p = np.array([*START, math.log(WALK), math.log(0.1), 4.0])
+    assert math.isfinite(likelihood.told(p).deviance)
+    p[0] += math.log(30.0)
+    assert math.isinf(likelihood.told(p).deviance)
+    assert runs_away(np.array([0.0, 1.0, 0.0, 3.0]))
+    assert not runs_away(np.array([0.0, 1.0, 1.2, 1.0]))
+
+
+def test_what_no_record_tells_is_as_wide_as_of_any_process() -> None:
+    """Of a loop at rest without a load nothing is told: the covariance stays finite, and so do the models in it."""
+    (one,) = sequences(1, 0.0)
+    quiet = replace(one, pv=tuple(0.001 * math.sin(i * i) for i in range(len(one.pv))))
+    likelihood = Likelihood([quiet], 1, *LAW)
+    p = np.array([-12.0, *START[1:], math.log(WALK), math.log(0.001), 4.0])
+    curved = likelihood.curvature(p)
+    own = np.linalg.inv(curved[1])[:4, :4]
+    assert np.max(np.linalg.eigvalsh(own)) <= 1.0001 * by_likelihood.WIDEST**2

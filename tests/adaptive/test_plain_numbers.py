@@ -1,9 +1,13 @@
-"""A repr shows numbers, whatever numbers something was made of; a process type that is none is refused by its list."""
+"""A repr shows numbers, whatever numbers something was made of; a process type that is none is refused by its list,
+and a setting outside its range by its name.
+"""
 
 import math
+import pkgutil
 import subprocess
 import sys
-from dataclasses import FrozenInstanceError, dataclass
+from dataclasses import FrozenInstanceError, dataclass, is_dataclass
+from importlib import import_module
 
 import numpy as np
 import pytest
@@ -11,8 +15,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import retuner
-from retuner import LinearProcess, PidGains, ProcessModel, ProcessType, margins, performance
+from retuner import LinearProcess, PidGains, ProcessModel, ProcessType, adaptive, margins, performance
 from retuner.adaptive.decision_numbers import NO_NUMBERS, Numbers
+from retuner.adaptive.declared_setting import declared
 from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.tuning_verdict import _unexplained
 from retuner.adaptive.identification.estimate import factors_text
@@ -26,6 +31,7 @@ from retuner.adaptive.signals.sample import (
     quantile,
 )
 from retuner.adaptive.supervision.admission import AdmissionNumbers
+from retuner.drivers import plants
 
 X = np.float64
 MODEL = ProcessModel(ProcessType.SOPDT, X(2.0), X(30.0), X(4.0), X(5.0))
@@ -173,3 +179,25 @@ def test_nobody_writes_into_them() -> None:
     said = AdmissionNumbers()
     with pytest.raises(FrozenInstanceError):
         said.kept = 1.0
+
+
+# Settings are held to their declaration: a value outside its range, or no number, is refused by its name
+
+
+ROOMS = ((adaptive.__path__, "retuner.adaptive."), (plants.__path__, "retuner.drivers.plants."))
+MODULES = [import_module(found.name) for path, name in ROOMS for found in pkgutil.walk_packages(path, name)]
+SETTINGS = [
+    kind
+    for module in MODULES
+    for kind in vars(module).values()
+    if isinstance(kind, type) and is_dataclass(kind) and kind.__module__ == module.__name__ and declared(kind)
+]
+
+
+@pytest.mark.parametrize("settings", SETTINGS, ids=lambda kind: kind.__name__)
+def test_a_setting_outside_its_range_is_refused_by_its_name(settings: type) -> None:
+    for name, _, _, setting in declared(settings):
+        ends = [setting.low - 1, setting.high + 1, *([setting.low] if setting.positive else [])]
+        for wrong in (math.nan, *filter(math.isfinite, ends)):
+            with pytest.raises(ValueError, match=f"{name} = "):
+                settings(**{name: wrong})

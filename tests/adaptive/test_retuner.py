@@ -2,12 +2,18 @@
 
 import json
 import math
+import re
+import sys
 from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+from types import FrameType
 
 import numpy as np
 import pytest
 from loop_bench import GOOD, Bench, made, scaled, table
 
+from retuner.adaptive.choice.choice_settings import ChoiceSettings
 from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.loop.margins import sensitivity_peak
@@ -17,7 +23,8 @@ from retuner.adaptive.signals.recogniser import RecogniserPhase
 from retuner.adaptive.signals.response import Ending
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.supervision import confirmation
-from retuner.adaptive.supervision.decision import Action, Mode
+from retuner.adaptive.supervision.decision import Action, Decision, Mode
+from retuner.adaptive.supervision.findings import STEPS
 from retuner.adaptive.supervision.response_finder import Left, ResponseFinder
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings
@@ -368,3 +375,102 @@ def test_a_memory_taken_while_a_variable_is_unknown_goes_on_alike() -> None:
             parts = restore(json.loads(json.dumps(remember(parts), allow_nan=False)), SETTINGS)
     assert remember(parts) == remember(whole)
     assert parts.region == 1
+
+
+# Where something else may well be behind one record, a loop that behaves waits for a second one that agrees
+
+
+def first_two(gains: PidGains, doubt: float = ChoiceSettings().doubt) -> list[Decision]:
+    """doubt : odds that something else than the models is behind one record."""
+    settings = RetunerSettings(1.0, 10.0, Mode.AUTO, choice=ChoiceSettings(doubt=doubt))
+    found = Bench(Retuner(table(gains), settings)).exercise(4)
+    return [d for d in found if d.estimate is not None][:2]
+
+
+@pytest.mark.slow
+@pytest.mark.uncounted
+def test_a_loop_that_behaves_is_moved_when_a_second_record_agrees() -> None:
+    first, second = first_two(scaled(0.6, 0.6), doubt=2.0)
+    assert first.code == "one_record"
+    assert first.action is Action.NONE
+    assert first.gains_after is None
+    assert "a second record must agree" in first.reason
+    assert second.action is Action.WRITE
+    assert second.records == 2
+
+
+@pytest.mark.uncounted
+@pytest.mark.parametrize("share", [0.2, 0.6, 2.5])
+def test_a_loop_that_is_slow_or_swings_is_moved_at_once_by_a_setpoint_step_from_rest(share: float) -> None:
+    assert first_two(scaled(share, share))[0].action is Action.WRITE
+
+
+# On line, a controller that acts the wrong way is named so, not by what comes of it: a pv far out of its range
+
+
+def decided(sign: int) -> list[Decision]:
+    """After a setpoint step under gains for a process of gain +1, on one of gain `sign`."""
+    settings = replace(RetunerSettings(1.0, 10.0, Mode.AUTO), pv_range=(-2.0, 2.0))
+    bench = Bench(Retuner(table(scaled(0.3, 0.3)), settings), sign)
+    return bench.run(400) + bench.run(300, 1.0) + bench.run(300, 0.0)
+
+
+@pytest.fixture(scope="module")
+def wrong() -> list[Decision]:
+    return decided(-1)
+
+
+def test_it_is_named_with_what_to_do(wrong: list[Decision]) -> None:
+    assert wrong[0].code == "wrong_way"
+    assert "take the loop to manual" in wrong[0].reason
+
+
+def test_nothing_is_written_and_nothing_learned(wrong: list[Decision]) -> None:
+    assert {(d.action, d.records) for d in wrong} == {(Action.NONE, 0)}
+
+
+def test_a_loop_that_acts_the_right_way_is_not_called_so() -> None:
+    assert "wrong_way" not in {d.code for d in decided(1)}
+
+
+def test_it_is_named_as_well_where_the_loop_never_was_at_rest() -> None:
+    bench = Bench(Retuner(table(scaled(0.3, 0.3)), RetunerSettings(1.0, 10.0, Mode.AUTO)), -1)
+    assert [d.code for d in bench.run(1100, 1.0)] == ["wrong_way"]
+
+
+# A decision runs through the steps that the documentation tells, in its order
+
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "developers" / "how-it-works.md"
+ROOM = "/adaptive/supervision/"
+
+
+def told() -> list[str]:
+    """Names of the steps, as documented."""
+    text = PAGE.read_text().split("| step | asks | in |")[1].split("\n\n")[0]
+    return re.findall(r"^\| ([a-z ]+) \| .+\? \| `[a-z_]+\.py` \|$", text, flags=re.MULTILINE)
+
+
+def test_a_decision_runs_through_the_steps_that_the_documentation_tells_in_its_order() -> None:
+    names, ran = told(), list[str]()
+
+    def noted(frame: FrameType, event: str, _: object) -> None:
+        name = frame.f_code.co_name.replace("_", " ")
+        if event == "call" and ROOM in frame.f_code.co_filename and name in names and name not in ran:
+            ran.append(name)
+
+    bench = Bench(Retuner(table(scaled(0.4, 0.4)), RetunerSettings(1.0, 10.0, Mode.AUTO)), seed=2)
+    bench.run(400)
+    before = sys.getprofile()
+    sys.setprofile(noted)
+    try:
+        made = bench.run(500, 1.0)
+    finally:
+        sys.setprofile(before)
+    assert made[0].action is Action.WRITE
+    assert ran == [name for name in names if name in ran]
+    assert set(names) - set(ran) <= {"objection", "proposal by all samples"}  # where there is a book by then
+
+
+def test_the_documentation_begins_with_the_steps_of_the_findings() -> None:
+    assert told()[: len(STEPS)] == [step.__name__.replace("_", " ") for step in STEPS]

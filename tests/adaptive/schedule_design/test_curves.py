@@ -14,14 +14,14 @@ import retuner
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.schedule_choice import schedule_from_records as designing
-from retuner.adaptive.schedule_choice.schedule_from_records import _able, _Chosen, _visited, design
-from retuner.adaptive.schedule_choice.scheduling_variables import SchedulingVariable, direction
+from retuner.adaptive.schedule_choice.schedule_from_records import _able, _Chosen, _pairs, _visited, design
+from retuner.adaptive.schedule_choice.scheduling_variables import SchedulingVariable, direction, follows_loop
 from retuner.adaptive.schedule_design.agreement import agreement
 from retuner.adaptive.schedule_design.joint import At, CurveForm
 from retuner.adaptive.schedule_design.motion import Batch, Local, response
 from retuner.adaptive.schedule_design.places import SECOND_LAG, DesignLimits, moved
 from retuner.adaptive.schedule_design.record_stretches import KNOTS, LEVEL_STD, CurveAxis, CurveShape, cut, signals_of
-from retuner.adaptive.signals.sample import Window
+from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.scheduling import ScheduleDesign
 
 
@@ -264,3 +264,41 @@ def test_ends_are_of_the_variable_that_is_named_first() -> None:
         _able([STILL, PV], (0.0, 100.0))
     with pytest.raises(ValueError, match="F: moves no more than its noise"):
         _able([STILL], (None, None))
+
+
+# A variable that goes after the loop is told from one that comes from outside
+
+
+def lagged(x: FloatArray, lag_s: float) -> FloatArray:
+    found = np.empty_like(x)
+    found[0] = x[0]
+    for i in range(1, len(x)):
+        found[i] = found[i - 1] + (x[i] - found[i - 1]) / lag_s
+    return found
+
+
+@pytest.mark.parametrize("lag_s", [1.0, 20.0, 60.0])
+def test_a_filtered_signal_of_the_loop_follows_it(lag_s: float) -> None:
+    window = record()
+    for signal in (window.pv, window.co):
+        assert follows_loop([window], [3.0 * lagged(signal, lag_s) - 7.0])
+    assert not SchedulingVariable("T2", (window.pv,), follows=True).outside
+
+
+def test_a_signal_from_outside_does_not() -> None:
+    window = record()
+    n = len(window.t_s)
+    walk = np.cumsum(np.random.default_rng(2).normal(size=n))
+    for other in (slow_sine(n), walk, np.repeat([10.0, 30.0, 20.0, 40.0], n // 4)):
+        assert not follows_loop([window], [other])
+    assert SchedulingVariable("flow", (walk,)).outside
+
+
+def test_what_shows_nothing_alone_is_tried_beside_the_best_where_that_does_not_settle() -> None:
+    sp, pv, flow, load = (SchedulingVariable(name, (np.arange(9.0),)) for name in ("sp", "pv", "flow", "load"))
+    able = [sp, pv, flow, load]
+
+    assert _pairs(flow, able, {"flow"}, settles=False) == [(sp, flow), (pv, flow), (flow, load)]
+    assert _pairs(pv, able, set(), settles=False) == [(pv, flow), (pv, load)]
+    assert _pairs(pv, able, {"pv", "load"}, settles=True) == [(pv, load)]
+    assert _pairs(pv, able, set(), settles=True) == []
