@@ -141,7 +141,6 @@ def online(name: str) -> Answer:
 
 
 def _batch() -> dict[str, batch.Task]:
-    """The chosen runs by name."""
     found = {}
     for limits, (every, offset) in BATCH.items():
         for task in batch.tasks(SEED, opened=limits == "opened", every=every, offset=offset):
@@ -157,7 +156,6 @@ def other(name: str) -> Answer:
 
 
 def _others() -> list[str]:
-    """The chosen runs of other parts."""
     return [f"{part}, {kind}, {i}" for part, (of, count) in ROWS.items() for kind in of.KINDS for i in range(count)]
 
 
@@ -262,14 +260,12 @@ def libraries() -> dict[str, str]:
 
 
 def read(path: Path) -> Answer:
-    """A file of answers."""
     with gzip.open(path, "rt", encoding="utf-8") if path.suffix == ".gz" else path.open(encoding="utf-8") as file:
         found: Answer = json.load(file)
     return found
 
 
 def write(path: Path, document: Answer) -> None:
-    """The other way."""
     with gzip.open(path, "wt", encoding="utf-8") if path.suffix == ".gz" else path.open("w", encoding="utf-8") as file:
         json.dump(document, file, allow_nan=False, sort_keys=True)
 
@@ -342,7 +338,6 @@ def _compare(options: argparse.Namespace) -> int:
 
 
 def _chosen(answers: Answer, asked: list[tuple[str, str]]) -> Answer:
-    """Those that were asked for."""
     wanted = set(asked)
     return {part: {name: x for name, x in of.items() if (part, name) in wanted} for part, of in answers.items()}
 

@@ -228,7 +228,6 @@ def keep(found: dict[str, float], note: str) -> None:
 
 
 def main() -> int:
-    """Measure, compare, tell."""
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rounds", type=int, default=3)

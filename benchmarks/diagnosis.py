@@ -128,7 +128,6 @@ def confusion(scores: list[Score]) -> list[str]:
 
 
 def summary(scores: list[Score], name: str) -> list[str]:
-    """Totals of one set."""
     n, changed = len(scores), [s for s in scores if not math.isnan(s.ms_after)]
     products = [s.product for s in changed if s.answer == "slow_integrating" and s.product > 0]
     unknown = sum(s.answer in {"unknown", "refused"} and not s.right for s in scores)

@@ -251,7 +251,6 @@ def _median(values: Iterable[float]) -> float:
 
 
 def summary(scores: list[Score]) -> list[str]:
-    """The numbers of the whole set."""
     n, given = len(scores), [s for s in scores if s.outcome not in {"not identifiable", "refused"}]
     good = sum(s.outcome == "in spec" for s in scores)
     z = [abs(value) for s in scores for value in s.z.values()]

@@ -136,7 +136,6 @@ def _started(stack: ExitStack, command: list[str], said: BinaryIO) -> subprocess
 
 
 def told(folder: Path) -> dict[str, Any]:
-    """What the ledger says of the run."""
     with LedgerReader(folder / "run" / "ledger.sqlite") as ledger:
         rows = list(ledger.rows())
     bodies = collections.defaultdict(list)
@@ -162,7 +161,6 @@ def told(folder: Path) -> dict[str, Any]:
 
 
 def main() -> int:
-    """Measure."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--loops", type=int, default=32, choices=range(1, HIGHEST_NODE + 1), metavar="1..63")
     parser.add_argument("--rate", type=float, default=100.0)

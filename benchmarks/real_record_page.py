@@ -35,7 +35,6 @@ this was built, so the page is no test. Written by `benchmarks/real_record_page.
 
 
 def picture(row: Row, source: Path, folder: Path) -> None:
-    """pv, setpoint and co over time, and pv over co."""
     from matplotlib.figure import Figure
 
     record = read(source)
@@ -125,7 +124,6 @@ def held_to_models(rows: list[Row], step: Path | None) -> list[str]:
 
 
 def page(rows: list[Row], eyes: dict[str, dict[str, str]], step: Path | None) -> str:
-    """The page."""
     lines = [HEAD, *agreement(rows, eyes), *held_to_models(rows, step)]
     for tag in dict.fromkeys(r.tag for r in rows):
         own = [r for r in rows if r.tag == tag]

@@ -46,7 +46,6 @@ def ran(rng: np.random.Generator, gains: PidGains, n: int, lag: float, b: float,
 
 
 def filtered(pv: np.ndarray, samples: float) -> np.ndarray:
-    """First-order filter."""
     out = pv.copy()
     for i in range(1, len(pv)):
         out[i] = out[i - 1] + (pv[i] - out[i - 1]) / (1 + samples)
@@ -87,7 +86,6 @@ WAYS: dict[str, tuple[bool, Callable[[Columns], Columns]]] = {
 
 
 def drawn(rng: np.random.Generator, fast: bool) -> tuple[PidGains, Columns]:
-    """A controller and its record."""
     scale = FAST if fast else 1
     kp, sign = 10 ** rng.uniform(-0.7, 0.7), rng.choice([1, -1])
     lag = scale * rng.uniform(10, 40)
@@ -98,7 +96,6 @@ def drawn(rng: np.random.Generator, fast: bool) -> tuple[PidGains, Columns]:
 
 
 def told(name: str, found: list[tuple[PidGains, SettingsInForce]]) -> str:
-    """One line of the table."""
     sure = [(true, s, s.gains) for true, s in found if s.gains is not None]
     if not sure:
         return f"{name:<22} none of {len(found)}"

@@ -113,7 +113,6 @@ def told(seed: int, index: int, only: str) -> tuple[str, float, str, str] | None
 
 
 def main() -> None:
-    """Counts by noise."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--cases", type=int, default=100)

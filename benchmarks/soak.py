@@ -120,7 +120,6 @@ def slope(notes: list[dict[str, float]], name: str) -> tuple[float, float]:
 
 
 def soak(hours: float, count: int, seed: int, slope_max: float, folder: Path) -> dict[str, object]:
-    """The run."""
     clock = SimulatedClock()
     buses = [f"soak-{i}" for i in range(BUSES)]
     near = [CanLink(LinkSettings(channel=bus), clock, folder / f"{bus}.blf") for bus in buses]
@@ -192,7 +191,6 @@ def judged(notes: list[dict[str, float]], wrong: list[str], slope_max: float) ->
 
 
 def main() -> int:
-    """Run and judge."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--hours", type=float, default=24.0)
     parser.add_argument("--loops", type=int, default=32)

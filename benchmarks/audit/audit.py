@@ -50,7 +50,6 @@ def is_right(loop: Loop, row: Row) -> bool:
 
 
 def judged(loops: dict[str, Loop], rows: list[Row], groups: list) -> dict[str, object]:
-    """The counts."""
     right = Counter(loops[str(row["tag"])].kind for row in rows if is_right(loops[str(row["tag"])], row))
     total = Counter(loop.kind for loop in loops.values())
     named = Counter((loops[str(row["tag"])].kind, str(row["cause"])) for row in rows)
@@ -113,7 +112,6 @@ def _largest_kb(who: int) -> int:
 
 
 def main() -> None:
-    """Make a plant, audit it, and judge the audit."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     for name, kind, default in (("loops", int, 100), ("days", float, 3.0), ("seed", int, 1), ("stretches", int, 3)):
         parser.add_argument(f"--{name}", type=kind, default=default)

@@ -52,7 +52,6 @@ def shares(before: dict[str, np.ndarray], after: dict[str, np.ndarray], j: int) 
 
 
 def main() -> None:
-    """Audit, apply, compare."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     for name, kind, default in (("loops", int, 60), ("days", float, 2.0), ("seed", int, 1), ("stretches", int, 4)):
         parser.add_argument(f"--{name}", type=kind, default=default)

@@ -36,7 +36,6 @@ sys.stderr.write(json.dumps({"status": status, "main_mb": own.ru_maxrss // 1024,
 
 
 def make(folder: Path, loops: int, rows: int, seed: int) -> None:
-    """Write the files of a plant."""
     rng = np.random.default_rng(seed)
     folder.mkdir(parents=True)
     stamps = np.datetime64(1_700_000_000, "s") + (10 * np.arange(rows)).astype("timedelta64[s]")
@@ -51,7 +50,6 @@ def make(folder: Path, loops: int, rows: int, seed: int) -> None:
 
 
 def main() -> None:
-    """Make plants, audit each, and say what it took."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--loops", type=int, nargs="+", default=[100, 1000, 10000])
     parser.add_argument("--rows", type=int, default=2000)

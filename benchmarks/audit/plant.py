@@ -79,7 +79,6 @@ def draw(count: int, rng: np.random.Generator) -> list[Loop]:
 
 
 def _loop(tag: str, kind: str, rng: np.random.Generator) -> Loop:
-    """One loop."""
     theta_s = float(10 ** rng.uniform(np.log10(20), np.log10(120)))
     tau_s = theta_s * float(10 ** rng.uniform(-0.2, 0.8))
     k = float(10 ** rng.uniform(-0.5, 0.5))

@@ -79,11 +79,9 @@ class Intruder:
         self._rng.choice(self._acts)()
 
     def _say(self, frame: Frame) -> None:
-        """Send a frame with a right checksum."""
         self.bus.send(NAME, self._codec.encode(frame))
 
     def _raw(self, id_: int, data: bytes) -> None:
-        """Send bytes."""
         self.bus.send(NAME, can.Message(arbitration_id=id_, is_extended_id=False, data=data))
 
     def _owner(self) -> int:

@@ -142,5 +142,4 @@ def far_from_own(rng: np.random.Generator) -> float:
 
 
 def silence(n: int) -> FloatArray:
-    """Nothing."""
     return np.zeros(n)

@@ -23,7 +23,6 @@ Maker = Callable[[np.random.Generator], DiagnosisCase]
 
 
 def case(seed: int, index: int, cause: str | None = None) -> DiagnosisCase:
-    """The case of that number; the causes take turns."""
     rng = np.random.default_rng([seed, index, 2])
     cause = cause or CAUSES[index % len(CAUSES)]
     return replace(first_that_fits(rng, MAKERS[cause], cause), seed=seed, index=index)

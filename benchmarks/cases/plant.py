@@ -278,7 +278,6 @@ def half_rule(process: LinearProcess, order: int = 1) -> ProcessModel:
 
 
 def later(model: ProcessModel, delay_s: float) -> ProcessModel:
-    """The model with that much more dead time."""
     return replace(model, theta_s=model.theta_s + delay_s)
 
 

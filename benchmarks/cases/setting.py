@@ -127,7 +127,6 @@ def fitted(loop: Loop, length_s: float, fewest: int, most: int) -> tuple[Loop, i
 
 
 def scaled(gains: PidGains, kc: float, tau_i: float) -> PidGains:
-    """PI settings with the gain and the integral time multiplied."""
     return PidGains(gains.kp * kc, gains.ki * kc / tau_i)
 
 

@@ -268,7 +268,6 @@ TRAPS: dict[str, Maker] = {
 
 
 def case(seed: int, index: int, trap: str | None = None) -> DiagnosisCase:
-    """The case of that number; the traps take turns."""
     rng = np.random.default_rng([seed, index, 3])
     trap = trap or list(TRAPS)[index % len(TRAPS)]
     return replace(first_that_fits(rng, TRAPS[trap], trap), seed=seed, index=index)

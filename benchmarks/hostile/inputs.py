@@ -68,8 +68,6 @@ def one_line(error: Exception) -> str:
 
 
 def config(path: Path) -> Judge:
-    """A configuration."""
-
     def judge(data: bytes) -> str:
         path.write_bytes(data)
         try:
@@ -114,8 +112,6 @@ def cut_gains(data: bytes) -> str:
 
 
 def recording(path: Path) -> Judge:
-    """A recorded loop."""
-
     def judge(data: bytes) -> str:
         path.write_bytes(data)
         try:
@@ -194,7 +190,6 @@ def layouts(plans: dict) -> list:
 
 
 def good_csv() -> bytes:
-    """A small recording."""
     rows = [f"{0.5 * i},{50 + i % 3},{50 - 0.25 * i},{30 + i}" for i in range(30)]
     return ("t,sp,pv,co\n" + "\n".join(rows) + "\n").encode()
 
@@ -224,7 +219,6 @@ def examples(folder: Path) -> dict[str, tuple[bytes, Judge, Judge]]:
 
 
 def judged(inputs: Iterator[bytes], judge: Judge, wrong: list[str]) -> Counter[str]:
-    """Judge them all."""
     answers: Counter[str] = Counter()
     for i, data in enumerate(inputs):
         started = time.process_time()
@@ -271,7 +265,6 @@ def frames(count: int, rng: random.Random) -> dict[str, object]:
 
 
 def datagrams(count: int, rng: random.Random) -> dict[str, object]:
-    """Datagrams at the door of a udp_multicast link."""
     from datagrams import Door, hostile  # needs msgpack
 
     door, wrong = Door(), []
@@ -286,7 +279,6 @@ def datagrams(count: int, rng: random.Random) -> dict[str, object]:
 
 
 def commands(count: int, rng: random.Random, folder: Path) -> dict[str, object]:
-    """Mutants through the command line."""
     kinds = examples(folder)
     lines = {"config": ["check"], "csv": ["identify", "--open-loop"], "ledger": ["ledger", "verify"]}
     wrong: list[str] = []
@@ -304,7 +296,6 @@ def commands(count: int, rng: random.Random, folder: Path) -> dict[str, object]:
 
 
 def run(arguments: list[str]) -> tuple[int, str]:
-    """The command line in this process."""
     out, err, hook = io.StringIO(), io.StringIO(), sys.excepthook
     try:
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
@@ -316,7 +307,6 @@ def run(arguments: list[str]) -> tuple[int, str]:
 
 
 def main() -> int:
-    """Judge the kinds that were asked for."""
     names = ("frames", "datagrams", "dbc", "config", "gains", "csv", "export", "ledger", "commands")
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("kinds", nargs="*", help=", ".join(names))

@@ -39,5 +39,4 @@ def mutant(good: bytes, rng: random.Random) -> bytes:
 
 
 def cuts(good: bytes) -> Iterator[bytes]:
-    """The input cut at every position."""
     return (good[:kept] for kept in range(len(good)))

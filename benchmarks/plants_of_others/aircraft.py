@@ -115,7 +115,6 @@ def fly(gains: list[PidGains], bounds: tuple[float, float], seed: int, mode: str
 
 
 def measure(options: Namespace) -> int:
-    """Every start and seed."""
     truths, qbars = zip(*(truth(speed) for speed in SPEEDS_KT), strict=True)
     bounds = (math.sqrt(qbars[0] * qbars[1]), math.sqrt(qbars[1] * qbars[2]))
     middle = truths[1].best

@@ -50,7 +50,6 @@ TESTS: dict[str, Callable[[str], StepTest]] = {
 
 
 def main() -> int:
-    """Run one part and print its table."""
     parser = argparse.ArgumentParser(
         prog="benchmarks/plants_of_others", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -47,7 +47,6 @@ LOOPS = {
 
 
 def load() -> Any:  # noqa: ANN401  a module without types
-    """The package; SystemExit where it is not installed."""
     return package("tep_studio", "Tennessee Eastman")
 
 

@@ -21,7 +21,6 @@ CURRENT_A, SPEEDS, NOISE_A = 40.0, (100.0, 120.0, 140.0), 0.3
 
 
 def load() -> Any:  # noqa: ANN401  a module without types
-    """The package; SystemExit where it is not installed."""
     return package("gym_electric_motor", "the motor")
 
 

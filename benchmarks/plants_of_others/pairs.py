@@ -81,7 +81,6 @@ def run(task: Task) -> Row:
 
 
 def session(pair: Pair, start: tuple[tuple[float, float], ...], seed: int, how: str) -> Row:
-    """One session."""
     rng, span = np.random.default_rng([seed, 39]), 10.0 * pair.step
     now, controls = [], []
     for i, ((kc, tau_i), (a, b)) in enumerate(zip(pair.gains, start, strict=True)):
@@ -128,7 +127,6 @@ def _held(cell: tuple[float, float, float, float], dt_s: float) -> HeldPlant:
 
 
 def line(row: Row) -> str:
-    """Both ways of one task, for people."""
     told = []
     for how, of in row["how"].items():
         ms = [" ".join(f"{x:.2f}" for x in of[key]) for key in ("ms first", "ms")]
@@ -141,7 +139,6 @@ def line(row: Row) -> str:
 
 
 def table(rows: list[Row]) -> list[str]:
-    """A line for each way of retuning."""
     lines = []
     for how in HOW[1:]:
         own = [row["how"][how] for row in rows]

@@ -53,7 +53,6 @@ Sets = dict[str, PidGains]  # The gains of each loop that is ours
 
 
 def run(plant: Plant, truths: dict[str, Truth], task: Task) -> Row:
-    """The session and its replays."""
     mine = list(truths) if task.together else [task.loop]
     first = {loop: begins_with(plant.cards[loop], truths[loop], task.start) for loop in mine}
     all_live, tripped = _session(plant, task, first, watched=True)
@@ -165,7 +164,6 @@ def tell(live: Controlled, truth: Truth) -> None:
 
 
 def line(row: Row) -> str:
-    """A session for people."""
     judged, replays = row["judged"], row["replays"]
     ratios = " ".join(f"{name} {_ratio(replays, name, 'start'):.2f}" for name in ("end", *OVER[1:]) if replays)
     marks = "".join("+" if ok else "-" for ok in row["spec"])
@@ -185,7 +183,6 @@ def _ratio(replays: dict[str, Row], name: str, over: str) -> float:
 
 
 def table(rows: list[Row]) -> list[str]:
-    """A line a plant and start, and one for all."""
     groups: dict[str, list[Row]] = {}
     for row in rows:
         for key in (f"{row['plant']} {row['start']}", f"all {row['start']}", "all"):

@@ -32,7 +32,6 @@ def imc() -> PidGains:
 
 
 def load() -> Any:  # noqa: ANN401  a module without types
-    """The package; SystemExit where it is not installed."""
     return package("tclab.tclab", "the temperature lab")
 
 

@@ -20,7 +20,6 @@ PARTS = ("drawn", "signal", "constant", "physics")
 
 
 def main() -> int:
-    """Measure, or print the table of rows again."""
     parser = argparse.ArgumentParser(
         prog="benchmarks/schedules", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -35,14 +35,12 @@ class _AboutRest:
 
 
 def fixed(truth: Truth) -> Curve:
-    """See the head."""
     subject = truth.subject
     middle = (subject.low + subject.high) / 2
     return Curve([middle], [subject.judge(middle).best])
 
 
 def four(truth: Truth) -> Lookup:
-    """See the head."""
     subject = truth.subject
     width = (subject.high - subject.low) / 4
     bounds = tuple(subject.low + width * i for i in (1, 2, 3))

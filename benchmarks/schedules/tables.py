@@ -16,7 +16,6 @@ OUT = 2.0  # Standard deviations within which 95 % should lie
 
 
 def line(row: Row) -> str:
-    """One case for people."""
     who = row["who"]
     parts = [
         f"{name} {of['spec']}/{of['places']} Ms {of['ms']:.2f} IAE {of['iae']:.2f} ({of['sets']})"
@@ -30,7 +29,6 @@ def line(row: Row) -> str:
 
 
 def table(rows: list[Row]) -> list[str]:
-    """Everything."""
     rows = [row for row in rows if not row["record_lost"]]
     lines: list[str] = []
     for kind, some in _by(rows, lambda row: f"{row['kind']}, {row['mode']}").items():

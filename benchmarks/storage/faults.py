@@ -229,7 +229,6 @@ def broken_without_table(folder: Path, promised: Promised) -> Iterator[str]:
 
 
 def main() -> int:
-    """Run one part."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("part", choices=("sweep", "kills", "disk"))
     parser.add_argument("--every", type=int, default=1, help="take every n-th point of the sweep (1)")

@@ -115,7 +115,6 @@ def _broken_table(kept: Path, promised: Promised) -> Iterator[str]:
 
 
 def main() -> int:
-    """Run the job."""
     try:
         work(Path(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else 6, 1)
     except (LedgerError, OSError) as error:

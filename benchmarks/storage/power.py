@@ -36,7 +36,6 @@ CUTS_PER_DISK = 20
 
 
 def sh(*command: str | Path) -> None:
-    """Run a command that must succeed."""
     subprocess.run([str(word) for word in command], check=True, capture_output=True)
 
 
@@ -138,7 +137,6 @@ def cuts(count: int, seed: int, synchronous: str) -> dict[str, object]:
 
 
 def main() -> int:
-    """Boot is done; load the modules and cut."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cuts", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)

@@ -39,7 +39,6 @@ class Task:
 
 
 def tasks(seed: int, loops: int, names: tuple[str, ...] = NAMES, *, verbose: bool = False) -> list[Task]:
-    """So many of each."""
     return [Task(name, seed, index, verbose) for index in range(loops) for name in names]
 
 
@@ -217,7 +216,6 @@ HEADS = f"{'story':<15}{'loops':>6}{'in spec after 1, 3, 6, at the end':>36}  ch
 
 
 def main() -> int:
-    """Run them and print the table."""
     parser = argparse.ArgumentParser(
         prog="benchmarks/unlike_ours", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -238,7 +236,6 @@ def main() -> int:
 
 
 def line(row: Row) -> str:
-    """A loop for people."""
     (ms, j), (ms_end, j_end) = row["start"], row["end"]
     spec = "".join("#" if good else "." for good in row["spec"])
     told = [f"{name} {n}" for name in HARM if (n := count([row], name))]
@@ -254,7 +251,6 @@ def count(rows: Sequence[Row], name: str) -> int:
 
 
 def table(rows: Sequence[Row]) -> list[str]:
-    """A line a story, and all together."""
     groups = [(name, [row for row in rows if row["name"] == name]) for name in NAMES]
     return [HEADS, *(_line(name, group) for name, group in [*groups, ("all", rows)] if group), *_promises(rows)]
 

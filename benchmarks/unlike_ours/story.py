@@ -257,7 +257,6 @@ def changing(sigma: float) -> Noise:
 
 
 def draw(name: str, seed: int, index: int) -> Story:
-    """The story of that name and number."""
     rng = np.random.default_rng([seed, NAMES.index(name), index])
     unit = {"ms": 1e-3 * log(rng, 2, 50), "hours": 3600 * log(rng, 0.5, 4)}.get(name, log(rng, 0.5, 300))
     per_dead = {"few_samples": (2, 4), "many_samples": (30, 61)}.get(name, (4, 26))
@@ -319,7 +318,6 @@ def curved(name: str, rng: Rng, linear: Linear, pv_range: tuple[float, float], c
 
 
 def rounded(plant: Linear | Curved | Flow, h: float) -> Linear | Curved | Flow:
-    """Its dead time in whole steps."""
     if isinstance(plant, Curved):
         return replace(plant, linear=replace(plant.linear, theta=round(plant.linear.theta / h) * h))
     return replace(plant, theta=round(plant.theta / h) * h)

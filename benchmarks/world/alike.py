@@ -47,8 +47,6 @@ def of_signal(x: FloatArray) -> list[float]:
 
 
 def indexes(sp: FloatArray, pv: FloatArray, co: FloatArray) -> list[float]:
-    """NAMES of a record."""
-
     def like(a: FloatArray, b: FloatArray) -> float:
         a, b = a - np.mean(a), b - np.mean(b)
         return abs(float(np.mean(a * b))) / (float(np.std(a) * np.std(b)) + LEAST)

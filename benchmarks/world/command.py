@@ -101,7 +101,6 @@ def shares(told: Diagnosis) -> dict[str, float]:
 
 
 def table(scores: list[Score]) -> list[str]:
-    """The counts."""
     n = len(scores)
     right = sum(s.said == s.true for s in scores)
     lines = [f"right        {share(right, n)}", f"unknown      {share(sum(s.said == 'unknown' for s in scores), n)}"]
@@ -151,7 +150,6 @@ def real(folder: str) -> list[str]:
 
 
 def main() -> int:
-    """The command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", required=True)
     parser.add_argument("--set", choices=SETS, default="real", dest="kind")

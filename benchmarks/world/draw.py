@@ -106,7 +106,6 @@ def where(meets: Callable[[float], bool], start: float) -> float:
 
 
 def settings(rng: np.random.Generator, process: TrueProcess, cause: str) -> tuple[float, float]:
-    """kc and tau_i of a class."""
     start, tau_i = simc(process)
     tau_i *= rng.uniform(0.8, 1.3)
     limit = rng.uniform(1.5, 1.75)

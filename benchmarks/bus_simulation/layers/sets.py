@@ -191,7 +191,6 @@ class Sets:
         unchanged("the_store_keeps_what_is_confirmed", before, told.after)
 
     def _judged(self, layer: str, told: Told, right: int) -> None:
-        """The answer is the right one."""
         ack = Ack(told.replies[0])
         if (ack.seq, ack.reason) != (u16(told.data), right):
             raise broken(layer, f"{told.data.hex()} gets {vars(ack)}, right is {right}")

@@ -104,7 +104,6 @@ def u16(data: bytes) -> int:
 
 
 def newer(number: int, than: int, bits: int = 16) -> bool:
-    """Less than half the circle ahead (RFC 1982)."""
     return 0 < (number - than) % (1 << bits) < 1 << bits - 1
 
 
