@@ -433,6 +433,7 @@ def _verdict(
     if cause == Cause.NONLINEAR:
         evidence, test = evidence | {"gain_ratio": walk.along.ratio}, None
     reason = _bends(walk.along) if cause == Cause.NONLINEAR else _reason(cause, odds, evidence, told)
+    reason = f"perhaps {reason}" if cause in WORDS and p < settings.due_odds else reason
     window = next(w for w, f in open_ones if f is told)
     reason += not_brought_back(window) * (cause in {Cause.OK, Cause.SLUGGISH})
     overshoot = evidence.get("overshoot", 0.0)

@@ -67,6 +67,14 @@ def test_the_odds_sum_to_one_the_largest_is_named(window: Window) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("kc", "step", "said"), [(4.0, 4.0, "too much gain"), (2.0, 0.0, "perhaps the tuning")])
+def test_a_cause_from_which_nothing_follows_is_said_as_a_perhaps(kc: float, step: float, said: str) -> None:
+    found = told(loop(kc, step=step), kc)
+    assert found.reason.startswith(said)
+    assert (found.confidence < OddsSettings().due_odds) is (step == 0.0)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(("kc", "cause"), [(4.2, Cause.AGGRESSIVE), (0.12, Cause.SLUGGISH)])
 def test_a_step_of_some_times_the_load_shows_the_tuning(kc: float, cause: Cause) -> None:
     window = loop(kc, step=6.0 if kc > 1 else 40.0, seed=4)
