@@ -41,8 +41,7 @@ from online.loop import WatchedLoop, Watching, one_region, settings
 from online.runner import Task
 from online.session import PV_SPAN
 
-from retuner import PidGains, identify
-from retuner.diagnosing import diagnose
+from retuner import PidGains, diagnose, identify
 
 ROOT = Path(__file__).resolve().parents[1]
 DEMO = "examples/oven.toml"

@@ -31,14 +31,13 @@ from bus_simulation.in_thread import InThread
 from cases import diagnosis
 from startup import RUN, cpu_s, write_record
 
-from retuner import PidGains, identify
+from retuner import PidGains, diagnose, identify
 from retuner.adaptive.explanations.valve_odds import log_odds_of_valve
 from retuner.adaptive.explanations.wandering_load import Prepared, log_likelihood
 from retuner.adaptive.fit import engine
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.valve.plateaus import as_steps
 from retuner.config.loading import load_session
-from retuner.diagnosing import diagnose
 from retuner.drivers.bus.bus import CanLink, LinkSettings
 from retuner.drivers.clock import SimulatedClock
 from retuner.drivers.conformance.chapters import chapters

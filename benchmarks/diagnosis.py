@@ -26,8 +26,7 @@ from cases import diagnosis, traps
 from cases.case import picture, share, spread
 from cases.setting import DiagnosisCase
 
-from retuner import diagnosing
-from retuner.schedule.gains import PidGains
+from retuner import PidGains, diagnosing
 
 MS_LIMIT, MS_OVER_BEST = 1.8, 1.03
 PRODUCT = (3.8, 4.2)  # k' Kc tau_I after the slow-oscillation rule

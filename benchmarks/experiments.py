@@ -19,10 +19,10 @@ from itertools import count
 
 from online.judge import Judge
 
+from retuner import LinearProcess, PidGains, ProcessModel
 from retuner.adaptive.experiments.phases import Phase
 from retuner.adaptive.experiments.plan import Experiment, Plan
 from retuner.adaptive.loop.margins import ultimate
-from retuner.adaptive.process.model import LinearProcess, ProcessModel
 from retuner.adaptive.process.reduction import half_rule
 from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.signals.sample import Window
@@ -36,7 +36,6 @@ from retuner.drivers.host.can_settings import CanDeviceSettings
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.experiment.findings import ExperimentFindings, ExperimentQuestion, evaluate
 from retuner.experiment.runner import ExperimentRunner
-from retuner.schedule.gains import PidGains
 from retuner.session.running import nothing
 
 SAMPLES_PER_THETA = 8

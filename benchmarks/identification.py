@@ -27,9 +27,7 @@ from cases.loop import performance
 from cases.plant import HeldPlant, half_rule, later, simc_of
 from cases.setting import IdentificationCase, Loop
 
-from retuner import identify
-from retuner.adaptive.process.model import LinearProcess
-from retuner.schedule.gains import PidGains
+from retuner import LinearProcess, PidGains, identify
 
 MS_LIMIT, MS_OVER_BEST, J_LIMIT = 1.8, 1.03, 1.25
 TWO_SIGMA = 2.0

@@ -16,13 +16,9 @@ import sys
 import time
 from collections.abc import Callable
 
-from retuner.adaptive.signals.sample import LoopMode, LoopSample
-from retuner.adaptive.supervision.retuner import Retuner
-from retuner.adaptive.supervision.retuner_settings import RetunerSettings
-from retuner.schedule.gains import PidGains
+from retuner import GainTable, LoopMode, LoopSample, PidGains, Retuner, RetunerSettings
 from retuner.schedule.pid import PidLaw, law, start, step
 from retuner.schedule.regions import Axis, Regions, choose, enter
-from retuner.schedule.table import GainTable
 
 try:
     from simple_pid import PID

@@ -28,12 +28,10 @@ from cases.case import FloatArray, Record, spread
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
-from retuner import api, diagnosing
+from retuner import PidGains, ProcessModel, ProcessType, api, diagnosing
 from retuner.adaptive.controller_settings.read_off import settings_in_force
 from retuner.adaptive.loop.margins import sensitivity_peak
-from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import Window
-from retuner.schedule.gains import PidGains
 
 BoolArray = npt.NDArray[np.bool_]
 STANDS = "does not move while co moves"

@@ -24,10 +24,7 @@ from pathlib import Path
 
 import numpy as np
 
-from retuner.adaptive.process.model import LinearProcess
-from retuner.adaptive.supervision.decision import Mode
-from retuner.adaptive.supervision.retuner import Retuner
-from retuner.adaptive.supervision.retuner_settings import RetunerSettings
+from retuner import GainTable, LinearProcess, Mode, PidGains, Regions, Retuner, RetunerSettings
 from retuner.drivers.bus.bus import CanLink, LinkSettings
 from retuner.drivers.bus.shared_link import LinkShare
 from retuner.drivers.clock import SimulatedClock
@@ -37,9 +34,6 @@ from retuner.drivers.host.can_device import CanDevice, CanDeviceSettings
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.ledger import Ledger
 from retuner.ledger.trend import Trend
-from retuner.schedule.gains import PidGains
-from retuner.schedule.regions import Regions
-from retuner.schedule.table import GainTable
 from retuner.session.loop_session import LoopSession
 from retuner.session.scenario import ScenarioPlayer
 

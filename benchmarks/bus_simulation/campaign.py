@@ -24,12 +24,11 @@ from bus_simulation.layers.misread import misread, of_another_epoch
 from bus_simulation.layers.one_wrong import OneWrong
 from bus_simulation.truth import Ran, Truth, ViolationError
 from bus_simulation.weather import CALM, CHANGE_EVERY, draw
-from retuner import drivers
+from retuner import PidGains, drivers
 from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
 from retuner.drivers.device import WriteDone
 from retuner.drivers.host.running_set import ALONE
 from retuner.drivers.protocol.frames import GainBox
-from retuner.schedule.gains import PidGains
 
 # ---- One run: a device, one or two hosts, perhaps an intruder, on a bus in bad weather, all from one seed.
 #

@@ -11,14 +11,13 @@ from pathlib import Path
 
 import can
 
-from retuner import drivers
+from retuner import PidGains, drivers
 from retuner.drivers.controller.firmware_settings import VirtualDeviceSettings
 from retuner.drivers.controller.gain_memory import GainSet, Slot
 from retuner.drivers.plants.plant import Plant
 from retuner.drivers.protocol.authentication import fresh_nonce
 from retuner.drivers.protocol.frames import Item
 from retuner.drivers.telemetry.signal_source import plant_message
-from retuner.schedule.gains import PidGains
 
 FIRMWARE = Path(str(drivers.__file__)).parent / "firmware"
 HERE = Path(__file__).parent

@@ -9,7 +9,7 @@ from bus_simulation import truth as t
 from bus_simulation.bus import Bus
 from bus_simulation.layers.host_side import HostSide
 from bus_simulation.truth import Order, Truth
-from retuner.adaptive.signals.sample import LoopSample
+from retuner import LoopSample, PidGains
 from retuner.drivers.bus.link_settings import LinkSettings
 from retuner.drivers.device import (
     DeviceError,
@@ -25,7 +25,6 @@ from retuner.drivers.device import (
 from retuner.drivers.host.can_device import CanDevice
 from retuner.drivers.host.can_settings import CanDeviceSettings
 from retuner.drivers.protocol.checksum import to_wire
-from retuner.schedule.gains import PidGains
 
 READ, PAGE_RUNNING = 2, 0
 COMMAND = 31

@@ -11,8 +11,7 @@ import numpy as np
 
 from cases.case import FloatArray, Record
 from cases.plant import HeldPlant
-from retuner.adaptive.process.model import LinearProcess
-from retuner.schedule.gains import PidGains
+from retuner import LinearProcess, PidGains
 from retuner.schedule.pid import law, start, step
 
 FAR = 1e15  # Limits of an output that has none

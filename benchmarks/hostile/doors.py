@@ -5,7 +5,7 @@ from collections import deque
 
 import can
 
-from retuner.adaptive.process.model import LinearProcess
+from retuner import LinearProcess, PidGains
 from retuner.drivers.bus.bus import LinkSettings
 from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
 from retuner.drivers.device import DeviceError, LinkState
@@ -13,7 +13,6 @@ from retuner.drivers.host.can_device import CanDevice, CanDeviceSettings
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.drivers.protocol.checksum import frame_crc
 from retuner.drivers.protocol.codec import COMMAND_BITS, Codec
-from retuner.schedule.gains import PidGains
 
 NODE = 5
 FIRST = PidGains(1.0, 0.0625, 0.5)

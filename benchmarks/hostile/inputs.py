@@ -30,17 +30,13 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from mutants import cuts, mutant
 
-from retuner import cli
-from retuner.config import load_config
+from retuner import GainTable, PidGains, Regions, cli, load_config
 from retuner.drivers.historian.loop_record import read_loop_record
 from retuner.drivers.protocol.codec import DbcError, Refused, plans_of, read_dbc, schema, schema_text
 from retuner.drivers.recorded.recording import ROLES, RecordingError, read_columns
 from retuner.errors import ConfigError, LedgerError
 from retuner.ledger import Ledger, LedgerReader
 from retuner.schedule.document import from_toml, to_toml
-from retuner.schedule.gains import PidGains
-from retuner.schedule.regions import Regions
-from retuner.schedule.table import GainTable
 
 ROOT = Path(__file__).resolve().parents[2]
 SLOW_S = 1.0  # an input that takes longer than this hangs a command

@@ -15,8 +15,7 @@ import numpy as np
 
 from plants_of_others.answered import Answered
 from plants_of_others.loop import package
-from retuner import Action, GainTable, PidController, PidGains
-from retuner.schedule.regions import Regions
+from retuner import Action, GainTable, PidController, PidGains, Regions
 
 DT_S, FRAMES = 5 / 120, 5
 SPEEDS_KT = (75.0, 95.0, 115.0)

@@ -13,8 +13,7 @@ import numpy as np
 from cases.plant import HeldPlant
 
 from plants_of_others.loop import Card, Control
-from retuner import PidGains
-from retuner.adaptive.process.model import LinearProcess
+from retuner import LinearProcess, PidGains
 
 MINUTE_S, DT_S = 60.0, 20.0
 NOISE, EVENTS, EVENT_MIN = 0.01, 12, 150.0

@@ -10,9 +10,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from retuner import Action, Decision, PidController, PidGains, RetunerSettings
+from retuner import Action, Decision, Mode, PidController, PidGains, RetunerSettings
 from retuner.adaptive.guard import GuardSettings
-from retuner.adaptive.supervision.decision import Mode
 
 INSTALL = "pip install tclab tep-studio bsm2-python gym-electric-motor jsbsim jax && pip install --no-deps pcgym"
 """Brings all plants. pc-gym only gives its equations; what its reinforcement learning needs stays away."""

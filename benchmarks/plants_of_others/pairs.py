@@ -15,10 +15,9 @@ import numpy as np
 from cases.plant import HeldPlant
 
 from plants_of_others.loop import Card, Controlled
-from retuner import Action, PidGains
+from retuner import Action, LinearProcess, PidGains
 from retuner.adaptive.interaction.multivariable_fit import Element, StepAnswers
 from retuner.adaptive.interaction.together import Closed, together
-from retuner.adaptive.process.model import LinearProcess
 from retuner.one_plant.controllers import on_one_plant
 
 Row = dict[str, Any]

@@ -5,10 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from retuner import GainTable, PidGains, design_schedule
 from retuner.adaptive.signals.sample import Window
-from retuner.schedule.gains import PidGains
-from retuner.schedule.table import GainTable
-from retuner.scheduling import design_schedule
 from schedules.lookups import Lookup, Table
 from schedules.loop import Trace
 from schedules.subject import Subject, bands

@@ -4,9 +4,8 @@ from bisect import bisect_right
 from collections.abc import Sequence
 from typing import Protocol
 
-from retuner.schedule.gains import PidGains
+from retuner import GainTable, PidGains
 from retuner.schedule.regions import Regions, choose, enter
-from retuner.schedule.table import GainTable
 
 
 class Lookup(Protocol):

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from retuner.schedule.gains import PidGains
-from retuner.schedule.table import GainTable
+from retuner import GainTable, PidGains
 from schedules import physics, records, rivals
 from schedules.designer import Designed, design
 from schedules.lookups import Curve, Lookup, Table

@@ -17,9 +17,7 @@ from cases.plant import log_uniform, robustness
 from online.judge import Judge
 from online.varying import SUBSTEPS, Local, VaryingPlant
 
-from retuner.adaptive.process.model import LinearProcess
-from retuner.schedule.gains import PidGains
-from retuner.schedule.table import GainTable
+from retuner import GainTable, LinearProcess, PidGains
 from schedules.lookups import Lookup, regions_along
 from schedules.loop import Trace, Visit, run
 from schedules.subject import Subject, sampling

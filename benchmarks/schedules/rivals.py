@@ -12,8 +12,7 @@ import numpy as np
 from online.judge import Judge
 from online.rivals import step_then_simc
 
-from retuner.schedule.gains import PidGains
-from retuner.schedule.table import GainTable
+from retuner import GainTable, PidGains
 from schedules.lookups import Curve, Lookup, Table, regions_along
 from schedules.subject import Live, Subject
 from schedules.truth import Truth

@@ -14,13 +14,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from retuner import GainTable, PidGains, Regions
 from retuner.errors import LedgerError
 from retuner.files import write_whole
 from retuner.ledger import Ledger
 from retuner.schedule.document import from_toml, to_toml
-from retuner.schedule.gains import PidGains
-from retuner.schedule.regions import Regions
-from retuner.schedule.table import GainTable
 
 LEDGER, TABLE = "ledger.sqlite", "gains.toml"
 ROWS_PER_TABLE = 3

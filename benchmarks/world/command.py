@@ -26,10 +26,9 @@ from pathlib import Path
 
 from cases.case import share, spread
 
-from retuner import diagnosing
+from retuner import PidGains, diagnosing
 from retuner.adaptive.diagnosis.cause import Diagnosis
 from retuner.adaptive.signals.sample import Window
-from retuner.schedule.gains import PidGains
 from world.alike import alike
 from world.draw import BENDS, CLASSES, DT_S, SETS, drawn, tested
 from world.invariance import invariance

@@ -5,13 +5,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from retuner.adaptive.signals.sample import LoopMode, LoopSample
-from retuner.adaptive.supervision.decision import Action, Decision, Mode
-from retuner.adaptive.supervision.retuner import Retuner
-from retuner.adaptive.supervision.retuner_settings import RetunerSettings
+from retuner import Action, Decision, GainTable, LoopMode, LoopSample, Mode, Regions, Retuner, RetunerSettings
 from retuner.schedule.gains import PidGains, SeriesGains
-from retuner.schedule.regions import Regions
-from retuner.schedule.table import GainTable
 
 GOOD = SeriesGains(5.0, 40.0).to_parallel()  # SIMC for e^-5s / (50 s + 1)
 REGIONS = Regions("pv", "-", ("a", "b"), 0.0, (50.0,), 100.0, 2.0, 0.0)

@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from retuner import PidGains, ProcessModel, ProcessType, Regions
 from retuner.adaptive.fit.structure import parameters_of
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.identify import Fits, FitSettings
 from retuner.adaptive.identification.structure_choice import ON_LINE
-from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.region_model.boundary_crossing import (
     Crossing,
     FittedCrossing,
@@ -23,9 +23,7 @@ from retuner.adaptive.region_model.region_model import RegionModel, StructureMod
 from retuner.adaptive.region_model.update import Agreement, TrackerSettings
 from retuner.adaptive.schedule_design.record_stretches import CurveAxis
 from retuner.adaptive.signals.sample import FloatArray, Window
-from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Axis as TableAxis
-from retuner.schedule.regions import Regions
 
 REGIONS = Regions("pv", "-", ("low", "middle", "high"), 0.0, (40.0, 60.0), 100.0)
 GAINS = PidGains(2.0, 0.05)

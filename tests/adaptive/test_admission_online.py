@@ -6,14 +6,8 @@ import numpy as np
 import pytest
 from pi_loop import Lag, pi_loop, samples_of
 
-from retuner.adaptive.signals.sample import LoopMode, LoopSample
+from retuner import Action, Decision, GainTable, LoopMode, LoopSample, Mode, PidGains, Regions, Retuner, RetunerSettings
 from retuner.adaptive.supervision.admission import Ground
-from retuner.adaptive.supervision.decision import Action, Decision, Mode
-from retuner.adaptive.supervision.retuner import Retuner
-from retuner.adaptive.supervision.retuner_settings import RetunerSettings
-from retuner.schedule.gains import PidGains
-from retuner.schedule.regions import Regions
-from retuner.schedule.table import GainTable
 
 GAINS = PidGains(5.0, 5.0 / 40)
 STEP_AT, N = 80, 420

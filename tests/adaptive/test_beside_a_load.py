@@ -10,7 +10,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from retuner import api, diagnosing
+from retuner import PidGains, ProcessModel, ProcessType, RetunerSettings, api, diagnosing
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.fit.dynamics import Dynamics, SamplingInstants
@@ -23,14 +23,11 @@ from retuner.adaptive.identification.candidate import judged
 from retuner.adaptive.identification.identify import FitSettings, fitted, identify_window
 from retuner.adaptive.identification.loads import _load_elsewhere, _merged, _without_ramp, _without_rounding
 from retuner.adaptive.identification.usual_dead_time import LEAST_SHARE, SPREAD, unusual, usual
-from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.region_model.update import update_region_model
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.adaptive.supervision import confirmation
 from retuner.adaptive.supervision.decision import Outcome
 from retuner.adaptive.supervision.findings import Findings
-from retuner.adaptive.supervision.retuner_settings import RetunerSettings
-from retuner.schedule.gains import PidGains
 
 FIRST, SECOND_ORDER = ProcessType.FOPDT, ProcessType.SOPDT
 THETA_S, TOTAL, C2, AT = 4.0, 40.0, 7.5, 60.0  # Lags of 30 and 10 s after 4 s, gain one; the load comes after 60 s

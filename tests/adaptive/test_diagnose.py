@@ -8,7 +8,7 @@ import pytest
 from effort import sized
 from test_beside_a_load import recorded
 
-from retuner import diagnosing
+from retuner import LinearProcess, ProcessModel, ProcessType, diagnosing
 from retuner.adaptive.diagnosis import oscillation_online
 from retuner.adaptive.diagnosis.cause import Cause, CauseSettings, Diagnosis, tuning_cause
 from retuner.adaptive.diagnosis.diagnose import diagnose_window
@@ -16,7 +16,6 @@ from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.oscillation_online import SwingSettings, hidden_cause
 from retuner.adaptive.diagnosis.rival_fits import linear
 from retuner.adaptive.loop.margins import sensitivity_peak
-from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
 from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.signals.response import Ending, Peak, Response
 from retuner.adaptive.signals.sample import LoopSample, Window

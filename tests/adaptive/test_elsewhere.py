@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from loop_bench import made, scaled
 
+from retuner import GainTable, Lookup, PidGains, Regions, RetunerSettings
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.guard import GuardSettings
 from retuner.adaptive.identification.estimate import LogModel
@@ -28,15 +29,11 @@ from retuner.adaptive.supervision.findings import Findings
 from retuner.adaptive.supervision.known_processes import KnownProcesses, known_of
 from retuner.adaptive.supervision.other_regions import as_right_as_others, elsewhere
 from retuner.adaptive.supervision.question import Question, ResponseRecord
-from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.supervision.state_file import region_model_in, region_model_out, remember, restore
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.rollback import NOTHING_KNOWN
 from retuner.adaptive.trial.trial import Trial
 from retuner.report.console import live_line
-from retuner.schedule.gains import PidGains
-from retuner.schedule.regions import Regions
-from retuner.schedule.table import GainTable, Lookup
 
 REGIONS = Regions("pv", "-", ("a", "b", "c"), 0.0, (30.0, 70.0), 100.0)
 OPENED = RetunerSettings(1.0, 100.0, Mode.AUTO, guard=GuardSettings().opened(8.0))

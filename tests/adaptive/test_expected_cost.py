@@ -8,6 +8,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from loop_bench import GOOD, Bench, scaled, table
 
+from retuner import Decision, Mode, PidGains, ProcessModel, ProcessType, Retuner, RetunerSettings
 from retuner.adaptive.choice.choice_settings import ChoiceSettings
 from retuner.adaptive.choice.expected_cost import (
     Choosable,
@@ -26,12 +27,7 @@ from retuner.adaptive.guard.guard_settings import GuardSettings
 from retuner.adaptive.guard.request import ChangeRequest, Evidence, Locks
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
-from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.simc import simc, without_second_lag
-from retuner.adaptive.supervision.decision import Decision, Mode
-from retuner.adaptive.supervision.retuner import Retuner
-from retuner.adaptive.supervision.retuner_settings import RetunerSettings
-from retuner.schedule.gains import PidGains
 
 SETTINGS = ChoiceSettings()
 USUAL = RetunerSettings(1.0, 10.0, Mode.AUTO)

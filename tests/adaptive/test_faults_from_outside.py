@@ -16,6 +16,7 @@ from test_beside_a_load import recorded
 from test_diagnose import DT, GOOD, loop, times, to_and_fro
 
 import retuner
+from retuner import LinearProcess, PidController, PidGains, ProcessModel, ProcessType
 from retuner.adaptive.controller_settings.summed_law import rough_law
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
 from retuner.adaptive.diagnosis.diagnose import _of_setpoint, diagnose_window
@@ -28,15 +29,12 @@ from retuner.adaptive.identification.robust_simc import RobustTuning
 from retuner.adaptive.indexes.doubtful_units import doubtful_units
 from retuner.adaptive.indexes.setpoint_responses import setpoint_responses
 from retuner.adaptive.loop.margins import sensitivity_peak
-from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
 from retuner.adaptive.rules.rule import ControllerKind
 from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.valve.valve_model import Family, StuckValve
 from retuner.drivers.historian.raw_table import VALUE, WITH_UNIT
 from retuner.drivers.historian.scaling import FORM
-from retuner.pid_controller import PidController
-from retuner.schedule.gains import PidGains
 
 Arrays = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 

@@ -5,11 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from retuner import PidGains, identify, simulate
+from retuner import PidGains, ProcessModel, identify, simulate
 from retuner.adaptive.identification import identify as identify_module
 from retuner.adaptive.identification.identify import FitSettings, identify_window
 from retuner.adaptive.identification.in_parts import MOST_PARTS, identify_parts, parts_of
-from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.signals.sample import Window
 
 GAINS = PidGains(2.0, 2.0 / 160.0)

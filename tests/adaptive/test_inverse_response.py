@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete
 
+from retuner import PidGains, ProcessModel, ProcessType, RetunerSettings
 from retuner.adaptive.diagnosis import diagnose
 from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.diagnosis.diagnose import diagnose_window
@@ -22,10 +23,7 @@ from retuner.adaptive.identification.identify import identify_window
 from retuner.adaptive.identification.robust_simc import RobustSettings, robust_simc, robust_simc_on
 from retuner.adaptive.indexes.screening import screen
 from retuner.adaptive.loop.margins import sensitivity_peak
-from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import Window
-from retuner.adaptive.supervision.retuner_settings import RetunerSettings
-from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import replace
 
 INVERSE = ProcessType.SOPDT_INVERSE

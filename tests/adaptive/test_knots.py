@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from retuner import GainTable, Lookup, PidGains, ProcessModel, ProcessType, Regions, RetunerSettings
 from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.fit.structure import parameters_of
 from retuner.adaptive.guard import NeighbourBorder, prove
@@ -15,7 +16,6 @@ from retuner.adaptive.guard.both_sides_of_border import between_models, eased
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
-from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.region_model.at_knots import at_knots
 from retuner.adaptive.region_model.region_model import RecordPoint, RegionModel, StructureModel
 from retuner.adaptive.region_model.update import TrackerSettings
@@ -23,10 +23,6 @@ from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.supervision.findings import tuning_of
 from retuner.adaptive.supervision.known_processes import KnownProcesses, change_request, known_of
-from retuner.adaptive.supervision.retuner_settings import RetunerSettings
-from retuner.schedule.gains import PidGains
-from retuner.schedule.regions import Regions
-from retuner.schedule.table import GainTable, Lookup
 
 REGIONS = Regions("pv", "C", ("low", "middle", "high"), 0.0, (40.0, 60.0), 100.0)
 KNOTS = (20.0, 50.0, 80.0)

@@ -13,13 +13,10 @@ from typing import NamedTuple
 import pytest
 from loop_bench import Bench, made, scaled
 
-from retuner.adaptive.signals.sample import LoopMode, LoopSample
+from retuner import GainTable, LoopMode, LoopSample, Retuner, remember, restore
 from retuner.adaptive.supervision.decide import decide
 from retuner.adaptive.supervision.decision import Action, Decision, Delay, Mode, Outcome
 from retuner.adaptive.supervision.question import Question
-from retuner.adaptive.supervision.retuner import Retuner
-from retuner.adaptive.supervision.state_file import remember, restore
-from retuner.schedule.table import GainTable
 
 LATER = 7  # Samples between question and answer
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from effort import sized
 
+from retuner import GainTable, Lookup, ProcessModel, ProcessType, Regions, Retuner, RetunerSettings
 from retuner.adaptive.decision_numbers import NO_NUMBERS
 from retuner.adaptive.diagnosis import second_opinion
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
@@ -28,7 +29,6 @@ from retuner.adaptive.diagnosis.tuning_verdict import RecordVerdict
 from retuner.adaptive.guard import Ruling
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.identify import FitSettings
-from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.region_model.update import Agreement, TrackerSettings, update_region_model
 from retuner.adaptive.signals.response import Ending, Peak, Response
 from retuner.adaptive.signals.sample import LoopMode, LoopSample, Window
@@ -37,13 +37,9 @@ from retuner.adaptive.supervision.confirmation import is_known, records_agree
 from retuner.adaptive.supervision.decision import Action, Decision, Mode, Outcome
 from retuner.adaptive.supervision.findings import Findings
 from retuner.adaptive.supervision.question import Question
-from retuner.adaptive.supervision.retuner import Retuner
-from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.trial.trial import Trial
 from retuner.schedule.gains import PidGains, SeriesGains
 from retuner.schedule.pid import change, law, start, step
-from retuner.schedule.regions import Regions
-from retuner.schedule.table import GainTable, Lookup
 
 SWING, DIAGNOSIS, LIMITS = SwingSettings(), DiagnosisSettings(), LimitSwingSettings()
 GOOD = SeriesGains(5.0, 40.0).to_parallel()  # SIMC for e^-5s / (50 s + 1)

@@ -11,17 +11,16 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
+from retuner import PidGains, ProcessType
 from retuner.adaptive.fit.misfit import Misfit
 from retuner.adaptive.fit.search import load_times
 from retuner.adaptive.identification.identify import FitSettings, fitted, identify_window
-from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.region_model import update as region_update
 from retuner.adaptive.region_model.kalman import update
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import Agreement, TrackerSettings, predicted, update_region_model
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.adaptive.supervision.state_file import region_model_in, region_model_out
-from retuner.schedule.gains import PidGains
 
 STILL = TrackerSettings(walk_per_day=0.0, walk_per_record=0.0, drift_per_record=0.0, scatter=0.0)
 SCATTERED = TrackerSettings()

@@ -5,11 +5,10 @@ import math
 import numpy as np
 import pytest
 
+from retuner import LinearProcess, PidGains, ProcessModel, ProcessType
 from retuner.adaptive.loop.replayed import before_after, even, replayed
 from retuner.adaptive.loop.simulate import HeldInput, step_response
-from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import FloatArray, Window
-from retuner.schedule.gains import PidGains
 from retuner.schedule.pid import law, start, step
 
 DT = 2.0

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from retuner import Action, Decision, LinearProcess, PidController, PidGains, ProcessModel, ProcessType, RetunerSettings
 from retuner.adaptive.choice.expected_cost import UPSETS
 from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.diagnosis.second_opinion import Excitation
@@ -17,19 +18,14 @@ from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.identification.robust_simc import RobustSettings, believed, robust_simc_on
 from retuner.adaptive.loop.margins import sensitivity_peak
-from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
 from retuner.adaptive.region_model.from_neighbours import spread
 from retuner.adaptive.region_model.region_model import RegionModel, StructureModel
 from retuner.adaptive.region_model.update import predicted
 from retuner.adaptive.rules.rule import ControllerKind
 from retuner.adaptive.rules.simc import simc
-from retuner.adaptive.supervision.decision import Action, Decision
 from retuner.adaptive.supervision.findings import no_more_action, propose
-from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.trial.batch_responses import ClosedLoop
 from retuner.adaptive.trial.response_numbers import shapes
-from retuner.pid_controller import PidController
-from retuner.schedule.gains import PidGains
 
 S = RetunerSettings(0.5, 100.0)
 FIRST = ProcessModel(ProcessType.FOPDT, 2.0, 20.0, 0.0, 4.0)

@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from retuner import PidGains, RetunerSettings
 from retuner.adaptive.diagnosis.unstable_process import UnstableProcess, unstable_process, worse_on
 from retuner.adaptive.loop.sampled import SampledLaw
 from retuner.adaptive.signals.response import Ending, Peak, Response
 from retuner.adaptive.signals.sample import FloatArray, LoopMode, LoopSample, Window
 from retuner.adaptive.supervision.confirmation import runaway
-from retuner.adaptive.supervision.retuner_settings import RetunerSettings
-from retuner.schedule.gains import PidGains
 
 DT, THETA, TAU, N, STEP_AT = 0.5, 2.0, 1.0, 400, 10
 LAW = SampledLaw(PidGains(0.35, 0.005), DT)

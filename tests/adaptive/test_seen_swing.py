@@ -3,14 +3,13 @@
 import numpy as np
 import pytest
 
+from retuner import PidGains, ProcessModel, ProcessType
 from retuner.adaptive.diagnosis.oscillation_online import SwingSettings
 from retuner.adaptive.diagnosis.swing_checks import foretold, not_seen
-from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.signals.response import Ending, Peak, Response
 from retuner.adaptive.trial.batch_responses import ClosedLoop
 from retuner.adaptive.trial.response_numbers import peaks_of
-from retuner.schedule.gains import PidGains
 
 MODEL = ProcessModel(ProcessType.FOPDT, 1.0, 50.0, 0.0, 5.0)
 GOOD = simc(MODEL).gains

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from loop_bench import GOOD, Bench, made, scaled, table
 
+from retuner import Mode, PidGains, ProcessType, Retuner, RetunerSettings
 from retuner.adaptive.fit.record import Record, RestRatio, rest_ratios
 from retuner.adaptive.fit.structure import dynamics_at
 from retuner.adaptive.identification.by_setpoint import Fitting, noise_filter, process_behind
@@ -17,7 +18,6 @@ from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.identification.structure_choice import StructureSettings
 from retuner.adaptive.indexes.condition import Condition, record_condition
 from retuner.adaptive.loop.sampled import SampledLaw, setpoint_response
-from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.region_model import sequences as of_region
 from retuner.adaptive.region_model.sequences import update_by_sequences
 from retuner.adaptive.region_model.update import Agreement, TrackerSettings
@@ -27,11 +27,7 @@ from retuner.adaptive.signals.response import Ending, Response
 from retuner.adaptive.signals.sample import FloatArray, LoopSample, Window
 from retuner.adaptive.signals.setpoint_steps import LEAST_LEAD, SetpointSteps, setpoint_steps
 from retuner.adaptive.signals.step_sequence import step_sequence
-from retuner.adaptive.supervision.decision import Mode
-from retuner.adaptive.supervision.retuner import Retuner
-from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.supervision.state_file import region_model_in, region_model_out, remember, restore
-from retuner.schedule.gains import PidGains
 from retuner.schedule.pid import law, start, step
 
 HOLD, SIZE, REST = 60, 0.5, 150

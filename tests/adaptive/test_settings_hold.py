@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 from command_line import printed
 
+from retuner import PidGains, ProcessModel, ProcessType
 from retuner.adaptive.cause_odds import doubt_of_settings
 from retuner.adaptive.cause_odds.doubt_of_settings import share_over
 from retuner.adaptive.cause_odds.odds_settings import OddsSettings
 from retuner.adaptive.identification.robust_simc import RobustSettings, robust_simc_on
-from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import Window
 from retuner.api import Identification, identify_by_region, identify_record
-from retuner.schedule.gains import PidGains
 
 LOADS = Path(__file__).parent.parent / "data" / "loads"
 

@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 
+from retuner import PidGains, RecordDiagnosis, diagnose, identify
 from retuner.adaptive.diagnosis.cause import Cause
-from retuner.api import identify
-from retuner.diagnosing import RecordDiagnosis, diagnose
-from retuner.schedule.gains import PidGains
 
 SLOPE, TAU_I, DT = 0.01, 60.0, 6.0
 

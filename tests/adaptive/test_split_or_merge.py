@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from effort import sized
 
+from retuner import Axis, GainTable, Lookup, PidGains, ProcessType, Regions
 from retuner.adaptive.identification.estimate import LogModel
-from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.region_model.proposed_borders import (
     MS_END,
     Refinement,
@@ -30,9 +30,6 @@ from retuner.adaptive.region_model.split_or_merge import (
 from retuner.adaptive.region_model.update import TrackerSettings
 from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.schedule_design.places import DesignLimits, Place
-from retuner.schedule.gains import PidGains
-from retuner.schedule.regions import Axis, Regions
-from retuner.schedule.table import GainTable, Lookup
 
 HEAT = Axis("sp", "degC", 0.0, (100.0,), 200.0, 2.0)
 FLOW = Axis("can", "%", 0.0, (50.0,), 100.0, 1.0, signal="flow")

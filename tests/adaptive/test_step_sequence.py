@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from loop_bench import Bench, made, scaled
 
-from retuner.adaptive.signals.sample import LoopSample
+from retuner import Decision, LoopSample
 from retuner.adaptive.signals.step_sequence import WHOLE_STEPS, step_sequence
-from retuner.adaptive.supervision.decision import Decision
 
 HOLD, SIZE, REST = 150, 0.5, 200
 LEVELS = (SIZE, -SIZE, SIZE, -SIZE, SIZE)

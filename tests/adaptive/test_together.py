@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 
+from retuner import PidGains, ProcessType, Regions
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.identify import FitSettings, identify_window
-from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.region_model import update
 from retuner.adaptive.region_model.from_neighbours import BorrowingSettings, borrowed
 from retuner.adaptive.region_model.kalman import back_to_mean, moved_on, widened
@@ -19,8 +19,6 @@ from retuner.adaptive.region_model.update import Agreement, TrackerSettings, pre
 from retuner.adaptive.schedule_design.record_stretches import BEND_STD, SLOPE_STD
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.adaptive.supervision.state_file import region_model_in, region_model_out
-from retuner.schedule.gains import PidGains
-from retuner.schedule.regions import Regions
 
 FIT, UP = FitSettings(), PidGains(2.0, 0.05)
 TRUTH = {"k": 1.0, "tau1": 50.0, "theta": 5.0}

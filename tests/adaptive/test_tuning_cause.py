@@ -6,15 +6,14 @@ from dataclasses import replace
 
 import pytest
 
+from retuner import PidGains, ProcessModel, ProcessType
 from retuner.adaptive.diagnosis.cause import Cause, CauseSettings, Diagnosis, over_words, tuning_cause
 from retuner.adaptive.diagnosis.tuning_verdict import weighed
 from retuner.adaptive.guard import GuardSettings
 from retuner.adaptive.identification.identify import identify_window
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.identification.robust_simc import RobustSettings, robust_simc
-from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.simc import simc
-from retuner.schedule.gains import PidGains
 
 SETTINGS = GuardSettings()
 MODEL = ProcessModel(ProcessType.FOPDT, 2.0, 50.0, 0.0, 5.0)

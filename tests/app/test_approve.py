@@ -10,12 +10,10 @@ from typing import Any
 import pytest
 from command_line import answer, printed, refused
 
-from retuner.adaptive.signals.sample import LoopSample
-from retuner.adaptive.supervision.decision import Mode
+from retuner import LoopSample, Mode, load_config
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.cli import main
 from retuner.commands.approve import only_place
-from retuner.config import load_config
 from retuner.live_view import watching_session
 from retuner.live_view.watching_session import Watching
 from retuner.session.loop_session import LoopSession

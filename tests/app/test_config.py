@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from retuner import Lookup, PidGains
 from retuner.adaptive.guard import KC_ONLY, NO_DERIVATIVE, GuardSettings
 from retuner.config import Config, load_config
 from retuner.config.adaptation import AdaptationConfig, LimitsConfig
@@ -20,8 +21,6 @@ from retuner.config.plants import OvenPlantConfig
 from retuner.config.section import Section
 from retuner.drivers.plants.oven_plant import OvenSettings
 from retuner.errors import ConfigError, UserError
-from retuner.schedule.gains import PidGains
-from retuner.schedule.table import Lookup
 from retuner.session.assembly import guard_settings, retuner_settings
 from retuner.templates import starter
 

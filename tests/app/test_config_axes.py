@@ -2,9 +2,8 @@
 
 import pytest
 
+from retuner import Axis, Lookup
 from retuner.config.loading import UnusableError, parse_config
-from retuner.schedule.regions import Axis
-from retuner.schedule.table import Lookup
 
 HEAD = """schema = 1
 [loop]

@@ -6,12 +6,11 @@ import pytest
 from test_trial_wire import CAUSES, EDITED
 from wire import FOREIGN, GOOD, OTHER, PLANT, Wire, is_telemetry
 
+from retuner import Action, Mode, PidGains
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.orders.operator_orders import revert
-from retuner.adaptive.supervision.decision import Action, Mode
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.drivers.protocol.checksum import to_wire
-from retuner.schedule.gains import PidGains
 from retuner.session.running import to_the_end
 
 P = TrialPhase

@@ -5,12 +5,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from retuner import PidGains, ProcessModel, identify, simulate
+from retuner import PidGains, ProcessModel, design_schedule, identify, simulate
 from retuner.adaptive.signals.sample import Window
 from retuner.audit.loop_row import AuditSettings, _LoopRecords
 from retuner.drivers.historian.loop_record import LoopRecord
 from retuner.drivers.recorded.recording import Recording
-from retuner.scheduling import design_schedule
 
 MODEL = ProcessModel("fopdt", k=2.0, tau1_s=40.0, theta_s=8.0)
 GAINS = PidGains(0.8, 0.02)

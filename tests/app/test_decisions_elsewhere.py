@@ -13,10 +13,9 @@ import pytest
 from command_line import answer
 from once import once
 
-from retuner.adaptive.signals.sample import LoopSample
+from retuner import LoopSample, Retuner
 from retuner.adaptive.supervision.decide import decide
 from retuner.adaptive.supervision.question import Question
-from retuner.adaptive.supervision.retuner import Retuner
 from retuner.decisions.decider import LATE, LOST, Answer, DecideHere, Decider
 from retuner.decisions.worker import DecideInWorker, DecisionWorkers
 from retuner.drivers.clock import SimulatedClock

@@ -13,12 +13,11 @@ import pytest
 from command_line import printed, refused
 from pi_loop import Lag, pi_loop, written
 
-from retuner import diagnosing
+from retuner import PidGains, ProcessModel, ProcessType, diagnosing, tune
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.enough_data import shortcomings
 from retuner.adaptive.explanations.proposed_test import DecidingTest, TestKind
 from retuner.adaptive.indexes.screening import screen
-from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import Window
 from retuner.cli import main
 from retuner.commands.experiment import proposed
@@ -28,8 +27,6 @@ from retuner.commands.recorded.record_options import renamed
 from retuner.commands.recorded.recorded_loop import controller, read_loop
 from retuner.decision_page.evidence_words import GROUPS, WORDS, evidence_lines, value_text
 from retuner.errors import UserError
-from retuner.schedule.gains import PidGains
-from retuner.tuning import tune
 
 answer = partial(command_line.answer, silent=True)
 

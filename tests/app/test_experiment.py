@@ -13,14 +13,13 @@ import pytest
 from command_line import answer, refused
 from shared_time import SharedTime
 
+from retuner import LinearProcess, PidGains, load_config
 from retuner.adaptive.experiments.phases import Phase
 from retuner.adaptive.experiments.plan import Experiment
-from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.cli import main
 from retuner.commands.experiment import ExperimentSignal, plan_for
 from retuner.commands.signatures import RelayOptions
-from retuner.config import load_config
 from retuner.config.bench_plants import known_plant
 from retuner.drivers.bus.bus import CanLink
 from retuner.drivers.clock import MonotonicClock
@@ -33,7 +32,6 @@ from retuner.experiment.findings import ExperimentQuestion, evaluate
 from retuner.experiment.on_demand import OnDemandExperiment, SettingsWriter
 from retuner.experiment.runner import ExperimentRunner
 from retuner.ledger import Ledger, LedgerReader
-from retuner.schedule.gains import PidGains
 from retuner.session.assembly import link_settings, virtual_device_settings
 from retuner.session.bench_or_buses import live, simulated
 from retuner.session.running import nothing

@@ -7,10 +7,10 @@ from dataclasses import replace
 import pytest
 from effort import pairs
 
+from retuner import LinearProcess, PidGains
 from retuner.adaptive.experiments.phases import TRANSITIONS, AbortCause, Happening, Phase, after
 from retuner.adaptive.experiments.plan import Experiment, Plan
 from retuner.adaptive.experiments.valve_test import SHORT
-from retuner.adaptive.process.model import LinearProcess
 from retuner.drivers.bus.bus import CanLink, LinkSettings
 from retuner.drivers.clock import SimulatedClock
 from retuner.drivers.controller.device_process import DeviceOnBus
@@ -22,7 +22,6 @@ from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.drivers.protocol.checksum import to_wire
 from retuner.errors import LedgerError
 from retuner.experiment.runner import RESTORE_SAMPLES, ExperimentRunner
-from retuner.schedule.gains import PidGains
 
 CHANNELS = itertools.count()
 DT = 0.5

@@ -14,6 +14,7 @@ import cantools
 import pytest
 from command_line import printed, refused
 
+from retuner import GainTable, Lookup, PidGains
 from retuner.adaptive.guard import change_factor
 from retuner.cli import main
 from retuner.config.described import vendor_units
@@ -21,9 +22,7 @@ from retuner.config.loading import load_config, load_session
 from retuner.drivers.protocol.checksum import to_wire
 from retuner.gain_export.numbers import c_header, csv_table, dbc_table, numbers_of, structured_text
 from retuner.schedule.document import to_toml
-from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Axis, Regions, choose, enter, values
-from retuner.schedule.table import GainTable, Lookup
 
 LOW = Axis("sp", "degC", 20.0, (90.0, 150.0), 220.0, 2.0, 60.0)
 SLOW = Axis("pv", "bar", 0.0, (3.3, 7.1), 10.0, 0.5, 5.0, 6.0)

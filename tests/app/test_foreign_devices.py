@@ -7,17 +7,16 @@ from pathlib import Path
 import pytest
 from command_line import answer, printed, refused
 
+from retuner import PidGains, load_config
 from retuner.adaptive.trial.phase import TrialEvent, TrialPhase, after
 from retuner.cli import main
 from retuner.config.described import make_access
-from retuner.config.loading import load_config
 from retuner.drivers.bus.bus import CanLink
 from retuner.drivers.controller.firmware_settings import VirtualDeviceSettings
 from retuner.drivers.device import DeviceStopped
 from retuner.drivers.plants.plant import Plant
 from retuner.drivers.profiles.bench_loop import BenchLoop
 from retuner.ledger import LedgerReader
-from retuner.schedule.gains import PidGains
 from retuner.session.ledger_rows import abort_cause, trouble
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

@@ -9,10 +9,9 @@ import pytest
 from command_line import refused
 from pi_loop import Lag, pi_loop, written
 
+from retuner import PidGains, load_config
 from retuner.cli import main
-from retuner.config.loading import load_config
 from retuner.config.plants import IdentifiedPlantConfig
-from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import replace
 
 

@@ -14,9 +14,8 @@ from command_line import printed
 from rich.cells import cell_len
 from rich.console import Console
 
+from retuner import Action, Decision, LoopSample, Mode, PidGains
 from retuner.adaptive.signals.recogniser import RecogniserPhase, begin
-from retuner.adaptive.signals.sample import LoopSample
-from retuner.adaptive.supervision.decision import Action, Decision, Mode
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.config.loading import load_config, load_session
 from retuner.drivers.device import RunningSet
@@ -38,7 +37,6 @@ from retuner.live_view.watching_session import Publisher, Watching, head_of
 from retuner.live_view.what_next import Changed, narrow_scores, what_next
 from retuner.report.console import scores_table
 from retuner.report.scores import RegionScore
-from retuner.schedule.gains import PidGains
 from retuner.session.assembly import make_retuner
 from retuner.session.loop_session import LoopSession
 from retuner.session.outputs import live_file as live_path

@@ -8,11 +8,8 @@ from typing import Any
 
 import pytest
 
-from retuner.adaptive.signals.sample import LoopSample
-from retuner.adaptive.supervision.decision import Mode
-from retuner.adaptive.supervision.retuner import Retuner
+from retuner import LoopSample, Mode, Retuner, load_config
 from retuner.adaptive.supervision.state_file import region_model_out
-from retuner.config.loading import load_config
 from retuner.config.model import Config
 from retuner.ledger import Ledger
 from retuner.session import memory_file

@@ -8,22 +8,16 @@ import numpy as np
 import pytest
 from pi_loop import Lag, pi_loop, written
 
-from retuner import diagnosing
+from retuner import Decision, GainTable, PidGains, Regions, Retuner, RetunerSettings, diagnosing
 from retuner.adaptive.cause_odds.odds import OddsFound, diagnose_records
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause
 from retuner.adaptive.signals.sample import LoopSample, Window
-from retuner.adaptive.supervision.decision import Decision
-from retuner.adaptive.supervision.retuner import Retuner
-from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.api import window_of
 from retuner.audit.catalogue import Task
 from retuner.audit.loop_row import AuditSettings, audit_task
 from retuner.cli import main
 from retuner.commands.recorded import schedule
 from retuner.commands.signatures import ScheduleOptions
-from retuner.schedule.gains import PidGains
-from retuner.schedule.regions import Regions
-from retuner.schedule.table import GainTable
 
 PLANT = Path(__file__).parent.parent / "data" / "plant"
 

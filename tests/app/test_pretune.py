@@ -9,20 +9,13 @@ from typing import Any
 import pytest
 from command_line import answer
 
+from retuner import Action, GainTable, LoopSample, Mode, PidGains, Regions, Retuner, RetunerSettings, load_config
 from retuner.adaptive.decision_numbers import Basis
 from retuner.adaptive.experiments.phases import AbortCause, Phase
-from retuner.adaptive.signals.sample import LoopSample
-from retuner.adaptive.supervision.decision import Action, Mode
-from retuner.adaptive.supervision.retuner import Retuner
-from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.cli import main
-from retuner.config.loading import load_config
 from retuner.drivers.controller.device_process import DeviceOnBus
 from retuner.errors import LedgerError
 from retuner.experiment.runner import ExperimentRunner
-from retuner.schedule.gains import PidGains
-from retuner.schedule.regions import Regions
-from retuner.schedule.table import GainTable
 from retuner.session.ledger_rows import feed
 from retuner.session.pretuning import Pretuning, row
 from retuner.session.running import Run

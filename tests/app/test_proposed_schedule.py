@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from command_line import printed, refused
 
+from retuner import GainTable, PidGains, Regions
 from retuner.adaptive.region_model import proposed_borders
 from retuner.adaptive.region_model.proposed_borders import Refinement
 from retuner.adaptive.schedule_design.places import DesignLimits
@@ -26,9 +27,6 @@ from retuner.gain_export.schedule_into_config import schedule_into
 from retuner.ledger import Row
 from retuner.report.ledger_words import told
 from retuner.schedule.config_section import schedule_section
-from retuner.schedule.gains import PidGains
-from retuner.schedule.regions import Regions
-from retuner.schedule.table import GainTable
 
 sys.path.append(str(Path(__file__).parent))
 

@@ -14,9 +14,7 @@ from command_line import answer, printed, refused
 from effort import sized
 from once import once
 
-from retuner.adaptive.signals.sample import LoopSample
-from retuner.adaptive.supervision.decision import Mode
-from retuner.adaptive.trial.phase import TrialEvent
+from retuner import LoopSample, Mode, TrialEvent
 from retuner.cli import main
 from retuner.commands.check import described
 from retuner.config.bench_plants import known_plant

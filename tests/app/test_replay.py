@@ -22,10 +22,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from recorded import SHORT, bodies, rewritten, run_short, short_session
 
+from retuner import GainTable, LoopSample, PidGains, Regions, Retuner, RetunerSettings
 from retuner.adaptive.fit.engine import engine_name
-from retuner.adaptive.signals.sample import LoopSample
-from retuner.adaptive.supervision.retuner import Retuner
-from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.cli import main
 from retuner.commands.replay import IN_FORCE_SAMPLES, InForce
 from retuner.drivers.bus import bus_opening
@@ -34,9 +32,6 @@ from retuner.drivers.recorded.frame_log import read_frames
 from retuner.errors import UserError
 from retuner.ledger.chain import Row
 from retuner.replay.replaying import first_difference, recorded_columns
-from retuner.schedule.gains import PidGains
-from retuner.schedule.regions import Regions
-from retuner.schedule.table import GainTable
 from retuner.session import bench_or_buses, outputs
 from retuner.session.outputs import read_loops
 

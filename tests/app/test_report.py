@@ -5,13 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retuner.adaptive.process.model import LinearProcess
+from retuner import GainTable, LinearProcess, Regions
 from retuner.report.console import scores_table
 from retuner.report.report import ReportData, as_commissioned, marks_of, render
 from retuner.report.scores import RegionScore, Twin, region_scores, twin_steps
 from retuner.schedule.gains import PidGains, from_form
-from retuner.schedule.regions import Regions
-from retuner.schedule.table import GainTable
 
 GAINS = PidGains(2.0, 0.1)
 TABLE = GainTable("loop", Regions("sp", "u", ("all",), 0.0, (), 100.0, 0.0, 0.0), (GAINS,))

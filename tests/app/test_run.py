@@ -20,29 +20,22 @@ from command_line import answer, refused, run
 from once import once
 from two_regions import two_regions
 
-from retuner import drivers
+from retuner import Action, GainTable, Mode, PidGains, Regions, Retuner, RetunerSettings, drivers, load_config
 from retuner.adaptive.decision_numbers import Basis
 from retuner.adaptive.orders.operator_orders import pretune
 from retuner.adaptive.signals.sample import FloatArray, LoopSample, Window
 from retuner.adaptive.supervision.admission import AdmissionSettings, admit
-from retuner.adaptive.supervision.decision import Action, Mode
 from retuner.adaptive.supervision.response_finder import Completed, ResponseFinder
-from retuner.adaptive.supervision.retuner import Retuner
-from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.without_model.pattern_rule import MOVING, PatternReading, PatternSettings, pattern_rule
 from retuner.adaptive.without_model.proposal_without_model import SlowReading, SlowSettings, slow_oscillation_online
 from retuner.cli import main
 from retuner.commands import run as commands_run
-from retuner.config import load_config
 from retuner.config.bench_plants import known_plant
 from retuner.drivers.device import WriteRefusedError
 from retuner.ledger import Ledger, LedgerReader
 from retuner.ledger.chain import Row
 from retuner.report.scores import region_scores, twin_steps
 from retuner.schedule.document import from_toml
-from retuner.schedule.gains import PidGains
-from retuner.schedule.regions import Regions
-from retuner.schedule.table import GainTable
 from retuner.session.outputs import fresh_folder
 from retuner.session.running import Run, nothing
 from retuner.session.session import Session

@@ -10,6 +10,7 @@ from command_line import answer, refused
 from pi_loop import Lag, pi_loop, written
 
 import retuner
+from retuner import Lookup, PidGains
 from retuner.adaptive.schedule_choice.borders_of_two_variables import Cells
 from retuner.adaptive.schedule_choice.schedule_from_records import Design, VariableEvidence
 from retuner.adaptive.signals.sample import Window
@@ -17,8 +18,6 @@ from retuner.cli import main
 from retuner.decision_page.shown_units import show_units
 from retuner.schedule.config_section import schedule_section
 from retuner.schedule.document import from_toml, to_toml
-from retuner.schedule.gains import PidGains
-from retuner.schedule.table import Lookup
 from retuner.schedule_report.schedule_page import message_sentence, push_sentence, variable_sentence
 from retuner.scheduling import RecordedGains, ScheduleDesign, at_limits, table_of
 

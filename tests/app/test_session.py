@@ -6,11 +6,8 @@ from functools import partial
 
 import pytest
 
-from retuner.adaptive.signals.sample import LoopSample
-from retuner.adaptive.supervision.decision import Action, Decision, Mode
+from retuner import Action, Decision, GainTable, LoopSample, Mode, PidGains, Regions, Retuner, RetunerSettings
 from retuner.adaptive.supervision.question import Step
-from retuner.adaptive.supervision.retuner import Retuner
-from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.config.bench_config import ScenarioConfig
 from retuner.drivers.bus.bus import HOLDING, FaultNews, LinkFault
 from retuner.drivers.device import (
@@ -30,9 +27,6 @@ from retuner.drivers.device import (
     WriteRefusedError,
     WriteUnknown,
 )
-from retuner.schedule.gains import PidGains
-from retuner.schedule.regions import Regions
-from retuner.schedule.table import GainTable
 from retuner.session.loop_session import HOLD_SAMPLES, RETRY_SAMPLES, LoopSession
 from retuner.session.scenario import ScenarioPlayer
 from retuner.session.session import Session

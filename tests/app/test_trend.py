@@ -5,9 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from retuner.adaptive.signals.sample import LoopSample
+from retuner import LoopSample, PidGains
 from retuner.ledger.trend import COLUMNS, Trend, write_trend
-from retuner.schedule.gains import PidGains
 
 GAINS = PidGains(0.1, 1e-9, 3.0)
 

@@ -10,9 +10,9 @@ from command_line import printed
 from two_regions import two_regions
 from wire import GOOD, OTHER, PROMISE, Wire, is_telemetry, wires
 
+from retuner import Lookup, PidGains, remember, restore
 from retuner.adaptive.orders.operator_orders import revert
 from retuner.adaptive.supervision.decision import Outcome
-from retuner.adaptive.supervision.state_file import remember, restore
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.cli import main
 from retuner.drivers.controller.gain_memory import GainSet
@@ -20,8 +20,6 @@ from retuner.drivers.controller.virtual_device import VirtualDevice
 from retuner.drivers.protocol.checksum import to_wire
 from retuner.drivers.protocol.frames import Ack, GainBox, Kind, Reason
 from retuner.ledger import LedgerReader
-from retuner.schedule.gains import PidGains
-from retuner.schedule.table import Lookup
 from retuner.session.running import to_the_end
 
 P = TrialPhase

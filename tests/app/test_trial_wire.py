@@ -8,11 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from wire import FOREIGN, GOOD, OTHER, PROMISE, Wire, is_telemetry, wires
 
+from retuner import Lookup, PidGains
 from retuner.adaptive.supervision.decision import Action, Mode, Outcome
 from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
 from retuner.drivers.protocol.checksum import to_wire
-from retuner.schedule.gains import PidGains
-from retuner.schedule.table import Lookup
 from retuner.session.running import to_the_end
 
 P = TrialPhase

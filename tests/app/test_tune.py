@@ -9,11 +9,10 @@ import command_line
 import pytest
 from command_line import printed, refused
 
-from retuner.adaptive.process.model import ProcessModel, ProcessType
+from retuner import ProcessModel, ProcessType, tune
 from retuner.adaptive.rules.registry import RULES
 from retuner.cli import main
 from retuner.report.rule_comparison import compare_rules
-from retuner.tuning import tune
 
 answer = partial(command_line.answer, silent=True)
 

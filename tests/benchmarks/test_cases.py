@@ -10,11 +10,10 @@ from cases.loop import Controller, Upsets, performance, run
 from cases.plant import FAMILIES, HeldPlant, best_pi, draw, half_rule, robustness, sampled
 from scipy import signal
 
+from retuner import LinearProcess, PidGains, ProcessType
 from retuner.adaptive.identification.identify import identify_manual
 from retuner.adaptive.loop.margins import margins
-from retuner.adaptive.process.model import LinearProcess, ProcessType
 from retuner.adaptive.signals.sample import Window
-from retuner.schedule.gains import PidGains
 
 SEED = 99
 

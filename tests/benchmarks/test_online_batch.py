@@ -16,11 +16,10 @@ from online.runner import Task, rows_of
 from online.varying import Local, VaryingPlant
 from schedules.records import Course, shape
 
+from retuner import LinearProcess, PidGains
 from retuner.adaptive.loop.margins import ultimate
-from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.process.reduction import half_rule
 from retuner.adaptive.rules.simc import simc
-from retuner.schedule.gains import PidGains
 
 
 def test_simc_on_the_whole_batch_has_the_margins_that_are_known_of_it():

@@ -15,13 +15,10 @@ from online.judge import perfect
 from online.loop import LostLoop, WatchedLoop, one_region, settings
 from online.rivals import PatternAlone, batch
 
+from retuner import GainTable, LinearProcess, LoopSample, PidGains
 from retuner.adaptive.loop.margins import sensitivity_peak
-from retuner.adaptive.process.model import LinearProcess
-from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.response_finder import Completed, ResponseFinder
 from retuner.adaptive.without_model.pattern_rule import MOVING, PatternAdvice, PatternSettings, pattern_rule
-from retuner.schedule.gains import PidGains
-from retuner.schedule.table import GainTable
 
 PROCESSES = {
     m.name: m.process

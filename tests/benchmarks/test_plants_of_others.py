@@ -13,8 +13,7 @@ from plants_of_others.columns import Distillation
 from plants_of_others.loop import Card, Control, Stepped
 from plants_of_others.truth import StepTest, fitted, step_answer, truth
 
-from retuner import PidGains
-from retuner.adaptive.process.model import LinearProcess
+from retuner import LinearProcess, PidGains
 
 CARD = Card("y", 1.0, (0.0, 100.0), (0.0, 100.0), PidGains(2.0, 0.05, 0.0), "here", 5.0)
 LAG = LinearProcess(0.6, (40.0, 5.0), (), 6.0)

@@ -8,8 +8,7 @@ from typing import Any
 
 import pytest
 
-from retuner.adaptive.process.model import LinearProcess
-from retuner.adaptive.signals.sample import LoopSample
+from retuner import LinearProcess, LoopSample, PidGains
 from retuner.drivers.bus.bus import CanLink, LinkSettings
 from retuner.drivers.clock import SimulatedClock
 from retuner.drivers.controller.device_process import DeviceOnBus
@@ -19,7 +18,6 @@ from retuner.drivers.host.can_device import CanDevice
 from retuner.drivers.host.can_settings import CanDeviceSettings
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.drivers.protocol.frames import GainBox
-from retuner.schedule.gains import PidGains
 
 sys.path += [str(Path(__file__).parent), str(Path(__file__).parents[2] / "benchmarks")]  # speaking.py, bus_simulation
 

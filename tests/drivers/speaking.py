@@ -1,12 +1,11 @@
 """Speaking to a virtual device frame by frame, as the owner of its lease."""
 
-from retuner.adaptive.process.model import LinearProcess
+from retuner import LinearProcess, PidGains
 from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.drivers.protocol.checksum import commit_crc, lease_stamp, set_crc
 from retuner.drivers.protocol.codec import Codec
 from retuner.drivers.protocol.frames import Ack, Commit, Frame, GainBox, Item, Lease, Reason, Stage
-from retuner.schedule.gains import PidGains
 
 CODEC = Codec(1)
 OWNER = 9

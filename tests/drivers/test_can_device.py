@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from retuner.adaptive.signals.sample import LoopMode
+from retuner import LoopMode, PidGains
 from retuner.drivers.device import (
     CommandDone,
     CommandFailed,
@@ -30,7 +30,6 @@ from retuner.drivers.protocol import frames
 from retuner.drivers.protocol.checksum import to_wire
 from retuner.drivers.protocol.codec import Codec
 from retuner.drivers.protocol.frames import GainBox
-from retuner.schedule.gains import PidGains
 
 CODEC = Codec(1)
 

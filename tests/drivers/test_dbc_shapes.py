@@ -9,8 +9,7 @@ import can
 import pytest
 from answering_wire import Wire
 
-from retuner.adaptive.process.model import LinearProcess
-from retuner.adaptive.signals.sample import LoopMode, LoopSample
+from retuner import LinearProcess, LoopMode, LoopSample, PidGains
 from retuner.config.described import foreign_settings, make_access, mapping_of
 from retuner.config.loading import parse_config
 from retuner.drivers.dbc.dbc_access import DbcAccess
@@ -32,7 +31,6 @@ from retuner.drivers.profiles.controller_access import Heard, ProfileError
 from retuner.drivers.profiles.foreign_device import ForeignDevice
 from retuner.drivers.profiles.mapping import DeviceMapping, GainAt, Protection, SignalOf
 from retuner.drivers.telemetry.signal_source import ScheduleInputs
-from retuner.schedule.gains import PidGains
 from retuner.schedule.pid import law, start, step
 from retuner.schedule.vendor_units import Quantity
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import can
 import pytest
 
-from retuner.adaptive.process.model import LinearProcess
+from retuner import LinearProcess, PidGains
 from retuner.drivers.canopen.canopen_access import CanOpenAccess, NodeSettings
 from retuner.drivers.canopen.eds_file import EdsFile, holds, read_eds
 from retuner.drivers.canopen.virtual_node import VirtualCanOpenNode
@@ -17,7 +17,6 @@ from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.drivers.profiles.bench_loop import BenchLoop
 from retuner.drivers.profiles.controller_access import Acknowledged, Denied, Heard, ProfileError
 from retuner.drivers.profiles.mapping import DeviceMapping, GainAt, ObjectOf
-from retuner.schedule.gains import PidGains
 from retuner.schedule.vendor_units import Quantity
 
 PROFILES = Path(__file__).parents[2] / "drivers" / "profiles"

@@ -10,7 +10,7 @@ import pytest
 from bus_simulation.device_end import LagPlant
 from bus_simulation.firmware import FIRMWARE, FirmwareDevice
 
-from retuner.adaptive.process.model import LinearProcess
+from retuner import LinearProcess, PidGains
 from retuner.drivers.bus.link_settings import LinkSettings
 from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
 from retuner.drivers.device import CommandDone, DeviceRestarted, Event, LinkState, WriteDone, WriteFailed
@@ -20,7 +20,6 @@ from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.drivers.protocol.checksum import commit_crc, lease_stamp, set_crc
 from retuner.drivers.protocol.codec import Codec
 from retuner.drivers.protocol.frames import Commit, Frame, GainBox, Item, Lease, Mode, Setpoint, Stage
-from retuner.schedule.gains import PidGains
 
 CODEC = Codec(1)
 FIRST = PidGains(1.0, 0.0625, 0.25)

@@ -8,8 +8,7 @@ from pathlib import Path
 import can
 import pytest
 
-from retuner.adaptive.process.model import LinearProcess
-from retuner.adaptive.signals.sample import LoopSample
+from retuner import LinearProcess, LoopSample, PidGains
 from retuner.config.loading import parse_session
 from retuner.drivers.bus import shared_link as link_share
 from retuner.drivers.bus.bus import CanLink, LinkSettings
@@ -24,7 +23,6 @@ from retuner.drivers.host.lease_and_commands import UNATTENDED, LeaseKeeper
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.drivers.protocol.frames import HIGHEST_NODE, Ack, Kind, Lease, Reason
 from retuner.drivers.telemetry.signal_source import plant_message
-from retuner.schedule.gains import PidGains
 from retuner.session.bench_or_buses import live_buses
 
 CHANNELS = itertools.count()

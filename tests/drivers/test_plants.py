@@ -10,8 +10,8 @@ from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from retuner import LinearProcess, PidGains, ProcessModel, ProcessType
 from retuner.adaptive.loop.margins import sensitivity_peak
-from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
 from retuner.adaptive.rules.simc import simc
 from retuner.drivers.plants.foreign_model import PlantFaultError
 from retuner.drivers.plants.linear_plant import LinearPlant
@@ -20,7 +20,6 @@ from retuner.drivers.plants.plant import Plant
 from retuner.drivers.plants.shared_plant import PlantPort, PortSettings, SharedPlant
 from retuner.drivers.plants.state_space import StateSpaceModel
 from retuner.drivers.plants.stepped import STEPS_PCT, SteppedPlant, rests_of
-from retuner.schedule.gains import PidGains
 
 DT_S = 2.0
 QUIET = OvenSettings(noise_c=0.0)

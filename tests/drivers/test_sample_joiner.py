@@ -14,7 +14,7 @@ from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retuner.adaptive.signals.sample import LoopSample
+from retuner import LoopSample, PidGains
 from retuner.drivers.bus.bus import CanLink
 from retuner.drivers.bus.link_settings import LinkSettings
 from retuner.drivers.clock import SimulatedClock
@@ -30,7 +30,6 @@ from retuner.drivers.recorded.sample_note import Notes, note_id, note_of, sample
 from retuner.drivers.telemetry.device_counter import Said
 from retuner.drivers.telemetry.sample_assembly import AssembledSample, SampleJoiner
 from retuner.drivers.telemetry.signal_source import ScheduleInputs, SignalTap, find_signal, plant_message
-from retuner.schedule.gains import PidGains
 
 
 def halves(number: int, revision: int = 1) -> tuple[TelemetryPv, TelemetrySp]:

@@ -4,14 +4,11 @@ from pathlib import Path
 
 from starlette.testclient import TestClient
 
-from retuner.adaptive.signals.sample import LoopSample
-from retuner.adaptive.supervision.decision import Action, Decision, Mode
-from retuner.config.loading import load_config
+from retuner import Action, Decision, LoopSample, Mode, PidGains, load_config
 from retuner.drivers.device import RunningSet
 from retuner.ledger import Ledger
 from retuner.live_view.loop_seen import LoopObserver
 from retuner.live_view.watching_session import Publisher, head_of
-from retuner.schedule.gains import PidGains
 from retuner.serve.application import PageAnswers
 from retuner.serve.hub import Hub
 from retuner.serve.page_access import PageAccess

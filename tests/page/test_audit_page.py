@@ -9,13 +9,12 @@ import pytest
 from chromium import Seen
 from selenium.webdriver.common.by import By
 
-from retuner.adaptive.process.model import ProcessModel, ProcessType
+from retuner import PidGains, ProcessModel, ProcessType
 from retuner.audit.catalogue import Task
 from retuner.audit.loop_row import AuditSettings, audit_task
 from retuner.audit.ranked_loops import write_results
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.schedule import pid
-from retuner.schedule.gains import PidGains
 
 pytestmark = [pytest.mark.slow, pytest.mark.uncounted]
 VALVE = Path(__file__).parent.parent / "data" / "plant" / "FIC20102_1016_12.csv"

@@ -9,17 +9,15 @@ import numpy as np
 import pytest
 from chromium import Seen
 
+from retuner import ControllerUnits, PidGains, ProcessModel, ProcessType
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.loop.replayed import even, replayed
 from retuner.adaptive.loop.simulate import step_response
-from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import Window
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.report.what_if import WhatIfQuestion, page_script, panel_style, what_if
 from retuner.schedule import pid
-from retuner.schedule.controller_units import ControllerUnits
 from retuner.schedule.dials import CONTROLLERS
-from retuner.schedule.gains import PidGains
 from retuner.templates import palette
 
 pytestmark = [pytest.mark.slow, pytest.mark.uncounted]

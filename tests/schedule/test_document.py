@@ -6,10 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from retuner import GainTable, Lookup, PidGains, Regions
 from retuner.schedule.document import SCHEMA, from_toml, to_toml
-from retuner.schedule.gains import PidGains
-from retuner.schedule.regions import Regions
-from retuner.schedule.table import GainTable, Lookup
 
 TABLE = GainTable(
     "oven",

@@ -6,10 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from retuner import GainTable, Lookup, PidGains
 from retuner.schedule.document import from_toml, to_toml
-from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import CAN, VARIABLES, Axis, Regions
-from retuner.schedule.table import GainTable, Lookup
 
 HEAT = Axis("sp", "degC", 20.0, (80.5,), 220.0, 2.0, 60.0)
 FLOW = Axis("can", "%", 0.0, (50.0,), 100.0, 5.0, 0.0, 10.0, "flow")

@@ -9,9 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retuner.schedule.gains import PidGains
-from retuner.schedule.regions import Axis, Regions
-from retuner.schedule.table import GainTable, Lookup
+from retuner import Axis, GainTable, Lookup, PidGains, Regions
 
 HEAT = Axis("sp", "degC", 20.0, (80.0, 150.0), 220.0)
 FLOW = Axis("can", "%", 0.0, (50.0,), 100.0, signal="flow")

@@ -9,9 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retuner.schedule.gains import PidGains
+from retuner import GainTable, Lookup, PidGains
 from retuner.schedule.regions import Regions, choose, enter
-from retuner.schedule.table import GainTable, Lookup
 
 OVEN = Regions("pv", "degC", ("cold", "warm", "hot"), 20.0, (80.0, 150.0), 220.0, 2.0, 60.0)
 

@@ -38,10 +38,9 @@ from bus_simulation.layers.wire import (
     stamp,
     u16,
 )
-from retuner.adaptive.signals.sample import LoopSample
+from retuner import LoopSample, PidGains
 from retuner.drivers.device import DeviceRestarted, Reverted, RunningChanged, RunningSet, WriteDone, WriteFailed
 from retuner.drivers.host.can_settings import CanDeviceSettings
-from retuner.schedule.gains import PidGains
 
 # ---- What has reached one life of a host, frame by frame: pages that are proved, answers, samples, life signs.
 #

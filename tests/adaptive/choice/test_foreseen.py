@@ -6,17 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from retuner import PidGains, ProcessModel, ProcessType
 from retuner.adaptive.audit.over_time import spread_over
 from retuner.adaptive.audit.verdict import AuditAction, LoopVerdict, VerdictBasis, error_share, with_foreseen
 from retuner.adaptive.choice.foreseen import DOUBLED, Foreseen, foreseen
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.identification.robust_simc import RobustSettings, robust_simc_on
-from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import Window
 from retuner.diagnosing import with_gain
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.schedule import pid
-from retuner.schedule.gains import PidGains
 
 DT_S = 2.0
 SLOW, GOOD = PidGains.from_ideal(0.4, 60.0), PidGains.from_ideal(1.6, 30.0)

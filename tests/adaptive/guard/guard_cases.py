@@ -2,14 +2,13 @@
 
 import numpy as np
 
+from retuner import PidGains, ProcessModel, ProcessType
 from retuner.adaptive.fit.structure import parameters_of
 from retuner.adaptive.guard import ChangeRequest, GuardSettings, allowed
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
-from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.rules.simc import simc
-from retuner.schedule.gains import PidGains
 
 SETTINGS = GuardSettings()
 MODEL = ProcessModel(ProcessType.FOPDT, 2.0, 50.0, 0.0, 5.0)

@@ -9,16 +9,13 @@ from guard_cases import BEST, GAINS, MODEL, SETTINGS, known, request, times
 from hypothesis import given
 from hypothesis import strategies as st
 
+from retuner import Axis, GainTable, Lookup, PidGains, ProcessModel, ProcessType, Regions
 from retuner.adaptive.guard import GuardSettings, NeighbourBorder, Ruling, borders_of, prove
 from retuner.adaptive.guard.both_sides_of_border import at_border, between_models
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
-from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.rules.simc import simc
-from retuner.schedule.gains import PidGains
-from retuner.schedule.regions import Axis, Regions
-from retuner.schedule.table import GainTable, Lookup
 
 SOPDT = ProcessModel(ProcessType.SOPDT, 2.0, 30.0, 20.0, 5.0)
 SWINGS = ProcessModel(ProcessType.SOPDT, 2.0, 20.0, 20.0, 5.0, 0.6)

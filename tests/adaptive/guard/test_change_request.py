@@ -6,15 +6,13 @@ import numpy as np
 import pytest
 from guard_cases import BEST, GAINS, MODEL, times
 
+from retuner import GainTable, Regions, RetunerSettings
 from retuner.adaptive.fit.structure import parameters_of
 from retuner.adaptive.guard import KC_ONLY, NO_DERIVATIVE, NO_LOCKS, GuardSettings, Ruling, prove
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.region_model.region_model import RegionModel, StructureModel
 from retuner.adaptive.supervision.known_processes import KnownProcesses, change_request, unproved_request
-from retuner.adaptive.supervision.retuner_settings import RetunerSettings
-from retuner.schedule.regions import Regions
-from retuner.schedule.table import GainTable
 
 REGIONS = Regions("pv", "C", ("cold", "warm", "hot"), 0.0, (20.0, 60.0), 100.0)
 START = GainTable("oven", REGIONS, (GAINS, times(0.5, 0.5), times(0.3, 0.3)))

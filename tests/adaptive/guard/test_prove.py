@@ -11,6 +11,7 @@ from guard_cases import BEST, GAINS, MODEL, SAMPLED, SETTINGS, known, request, t
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from retuner import PidGains, ProcessModel, ProcessType
 from retuner.adaptive.fit.structure import parameters_of
 from retuner.adaptive.guard import (
     ChangeRequest,
@@ -29,10 +30,8 @@ from retuner.adaptive.guard.model_set import MOST_LOG_STEP
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
-from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.rules.simc import simc
-from retuner.schedule.gains import PidGains
 
 
 def ms_of(model: ProcessModel, gains: PidGains, sample_time_s: float = 1.0) -> float:

@@ -2,10 +2,9 @@
 
 import math
 
+from retuner import PidGains, ProcessModel, ProcessType
 from retuner.adaptive.guard.write_order import gentlest_way, proved_way
 from retuner.adaptive.identification.plausible import Plausible
-from retuner.adaptive.process.model import ProcessModel, ProcessType
-from retuner.schedule.gains import PidGains
 from retuner.schedule.vendor_units import Quantity, VendorGain, VendorUnits, Way
 
 UNITS = VendorUnits((VendorGain(Quantity.KP, message=0), VendorGain(Quantity.TN, message=1)))

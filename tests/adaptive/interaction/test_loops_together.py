@@ -8,12 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from wood_berry import BLT, DT_S, MINUTE, WOOD_BERRY, column, records
 
+from retuner import LinearProcess, PidGains
 from retuner.adaptive.interaction.common_windows import seen_in
 from retuner.adaptive.interaction.multivariable_fit import Element, Moved, StepAnswers, answers
 from retuner.adaptive.interaction.together import Closed, together
 from retuner.adaptive.loop.margins import margins
-from retuner.adaptive.process.model import LinearProcess
-from retuner.schedule.gains import PidGains
 
 
 def alone(k: float, tau: float, theta: float, gains: PidGains) -> float:

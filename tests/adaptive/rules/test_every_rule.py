@@ -13,17 +13,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from templates import template
 
+from retuner import ProcessModel, ProcessType, tune
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.loop.optimum import optimal_pi, references
 from retuner.adaptive.loop.performance import performance, weighted_cost
-from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.process.reduction import half_rule
 from retuner.adaptive.rules.registry import RULES
 from retuner.adaptive.rules.registry import settings as rule_settings
 from retuner.adaptive.rules.rule import ControllerKind, Rule, Takes, Tuning, Wishes
 from retuner.adaptive.rules.simc import derivative_pays, simc
 from retuner.schedule.gains import PidGains, from_form
-from retuner.tuning import tune
 
 T = ProcessType
 PAIRS = [(rule, kind) for rule in (*RULES.values(), *template("rule").RULES) for kind in rule.kinds]

@@ -7,14 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from retuner import LinearProcess, ProcessModel, ProcessType, tune
 from retuner.adaptive.loop.margins import margins, ultimate
 from retuner.adaptive.loop.optimum import Aim, optimal_pi
 from retuner.adaptive.loop.performance import performance, weighted_cost
 from retuner.adaptive.loop.simulate import step_response
-from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
 from retuner.adaptive.rules.simc import ControllerKind, simc, without_second_lag
 from retuner.schedule.gains import PidGains, SeriesGains
-from retuner.tuning import tune
 
 PUBLISHED = tomllib.loads((Path(__file__).parents[2] / "data" / "tuning" / "published.toml").read_text())
 

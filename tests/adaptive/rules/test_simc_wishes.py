@@ -7,12 +7,10 @@ from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from retuner import LinearProcess, PidGains, ProcessModel, ProcessType, TuneResult, tune
 from retuner.adaptive.loop.margins import margins, sensitivity_peak
-from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
 from retuner.adaptive.rules.slow_oscillation import slow_oscillation
 from retuner.adaptive.rules.visual import VisualAdvice, oscillating_loop, oscillation_by_eye, sampling_by_eye
-from retuner.schedule.gains import PidGains
-from retuner.tuning import TuneResult, tune
 
 T = ProcessType
 

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from test_cover import LIMITS, place
 
+from retuner import Axis, GainTable, Lookup, Regions
 from retuner.adaptive.schedule_choice.borders_of_two_variables import COUNT, Cells, cells
 from retuner.adaptive.schedule_design.places import Place
-from retuner.schedule.regions import Axis, Regions
-from retuner.schedule.table import GainTable, Lookup
 
 
 def over(factor: float, factor2: float) -> list[Place]:

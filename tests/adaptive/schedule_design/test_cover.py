@@ -9,7 +9,7 @@ from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retuner.adaptive.process.model import ProcessModel, ProcessType
+from retuner import Lookup, PidGains, ProcessModel, ProcessType
 from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.schedule_choice import schedule_from_records
 from retuner.adaptive.schedule_choice.borders_of_one_variable import (
@@ -22,8 +22,6 @@ from retuner.adaptive.schedule_choice.schedule_from_records import _counted, _re
 from retuner.adaptive.schedule_design.places import DesignLimits, Place, iae, place_at
 from retuner.adaptive.schedule_design.record_stretches import cut, signals_of, without_gaps
 from retuner.adaptive.signals.sample import Window
-from retuner.schedule.gains import PidGains
-from retuner.schedule.table import Lookup
 
 LIMITS = DesignLimits()
 DT = 0.1

@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from loop_bench import GOOD, made
 
+from retuner import LoopMode, LoopSample, ProcessModel, ProcessType
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.identification.plausible import Plausible
-from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.region_model.sequences import unsure
 from retuner.adaptive.setpoint_bumps.bump_planner import (
     COURSE,
@@ -24,7 +24,6 @@ from retuner.adaptive.setpoint_bumps.bump_planner import (
 )
 from retuner.adaptive.setpoint_bumps.bump_settings import BumpSettings
 from retuner.adaptive.setpoint_bumps.loop_bumps import LoopBumps
-from retuner.adaptive.signals.sample import LoopMode, LoopSample
 
 ALLOWED = BumpSettings(allowed=True, after_h=1.0, announce_s=60.0, longest_s=600.0)
 CALM = LoopAround(at_rest=True, wanted="nothing is known", hour=12.0, band=0.1, low=0.0, high=100.0)

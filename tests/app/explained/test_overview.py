@@ -3,10 +3,8 @@
 import pytest
 from decision_documents import BORROWED, COMMIT, REFUSED, RESTORED, plain
 
+from retuner import Axis, GainTable, PidGains, Regions
 from retuner.report.report import overview, regions_now
-from retuner.schedule.gains import PidGains
-from retuner.schedule.regions import Axis, Regions
-from retuner.schedule.table import GainTable
 from retuner.templates import rendered
 
 ROW = Regions("sp", "degC", ("low", "middle"), 0.0, (50.0,), 100.0, 1.0, 0.0)

@@ -7,12 +7,11 @@ from typing import Any, cast
 import pytest
 from wood_berry import BLT, DT_S, records
 
-from retuner import PidController, PidGains
+from retuner import LoopSample, PidController, PidGains
 from retuner.adaptive.decision_numbers import Basis
 from retuner.adaptive.guard import GuardSettings, Proof
 from retuner.adaptive.guard.ruling import Ruling
 from retuner.adaptive.interaction.together import Closed
-from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision import decide
 from retuner.adaptive.supervision.decision import Outcome
 from retuner.adaptive.supervision.findings import Findings
