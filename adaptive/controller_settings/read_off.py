@@ -12,6 +12,7 @@ this one or their mean, which moves kp by ki dt in all: the mean is told, the re
 
 import math
 from contextlib import suppress
+from functools import lru_cache
 
 import numpy as np
 
@@ -67,6 +68,12 @@ def usable_increments(window: Window, co_min: float | None, co_max: float | None
 
 def best_structure(window: Window, usable: BoolArray, largest_lag: int) -> Regression:
     """The best structure: lag and equation first, then filter and derivative, then what of P and I is needed."""
+    return _best_structure(window.content, usable.tobytes(), largest_lag)
+
+
+@lru_cache(maxsize=16)  # a record is asked for its settings, and then for rougher ones
+def _best_structure(content: tuple[tuple[bytes, ...], float], made: bytes, largest_lag: int) -> Regression:
+    window, usable = Window.holding(content), np.frombuffer(made, dtype=np.bool_)
     lags = [by_increments(window, Structure(lag=lag), usable, sure=False) for lag in range(largest_lag + 1)]
     chosen = by_increments(window, min(lags, key=lambda f: _size(f, usable)).structure, usable)
     levels = by_levels(window, chosen.structure, usable)

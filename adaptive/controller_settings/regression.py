@@ -248,8 +248,10 @@ def _stds(x: FloatArray, r: FloatArray) -> FloatArray:
     there = scale > 0
     xs = x[:, there] / scale[there]
     inverse = np.linalg.pinv(xs.T @ xs)
-    scores = [g.sum(axis=0) for g in np.array_split(xs * r[:, None], min(BLOCKS, len(r)))]
-    spread = np.stack(scores).T @ np.stack(scores) * len(scores) / max(len(scores) - xs.shape[1], 1)
+    blocks = min(BLOCKS, len(r))
+    each, longer = divmod(len(r), blocks)
+    scores = np.add.reduceat(xs * r[:, None], [i * each + min(i, longer) for i in range(blocks)], axis=0)
+    spread = scores.T @ scores * blocks / max(blocks - xs.shape[1], 1)
     std = np.full(x.shape[1], np.inf)
     std[there] = np.sqrt(np.maximum(np.diag(inverse @ spread @ inverse), 0.0)) / scale[there]
     return std
