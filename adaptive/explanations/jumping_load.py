@@ -30,6 +30,7 @@ from retuner.adaptive.explanations.wandering_load import (
     unsmoothed,
     whitening,
 )
+from retuner.adaptive.fit.engine import compiled
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.adaptive.valve.plateaus import steps_chosen
 
@@ -113,16 +114,21 @@ def whitened(
     """
     n, both = len(record.pv), load[1] == BOTH
     (model,) = load_models(lag, load[:1], *((VALUE, second) if both else load[1:]))
-    second *= not both
-    memory, basis = whitening(n, (math.exp(-1.0 / second),) if second else (), model)
-    rows = record.pv[None] if beside is None else np.array([record.pv, beside])
+    pole = math.exp(-1.0 / second) if second and not both else 0.0
+    poles = model.c if not pole else tuple(np.convolve(model.c, (1.0, -pole)).tolist())
+    rows = record.pv[None]
+    if beside is not None and np.any(beside):  # a dead time longer than the record leaves nothing of it
+        rows = np.array([record.pv, beside])
+    if (engine := compiled()) is not None:
+        made = engine.whitened(rows[0], rows[1:], np.array(model.packed), record.smoothing, pole)
+        return *made, (0.0, 1.0, *poles[1:])
+    memory, basis = whitening(n, (pole,) if pole else (), model)
     if record.smoothing:
         rows = unsmoothed(rows, record.smoothing)
     y, *co = filtered(spectrum(reduced(rows, model.roots)), n, memory)
-    if np.any(co):  # a dead time longer than the record leaves nothing of it
+    if co:
         basis = np.linalg.qr(np.column_stack([basis, *co]))[0]
-    response, poles = np.concatenate([[0.0], memory[:-1]]), model.c
-    if second:
-        response = filtered(spectrum(response), n, np.exp(-np.arange(n, dtype=np.float64) / second))
-        poles = tuple(np.convolve(poles, (1.0, -math.exp(-1.0 / second))).tolist())
+    response = np.concatenate([[0.0], memory[:-1]])
+    if pole:
+        response = filtered(spectrum(response), n, pole ** np.arange(n, dtype=np.float64))
     return y, basis, response, (0.0, 1.0, *poles[1:])

@@ -94,6 +94,12 @@ class LoadModel:
         """Coefficients of A, the newest first."""
         return tuple(np.poly(self.roots).tolist())
 
+    @property
+    def packed(self) -> tuple[float, ...]:
+        """The seven numbers that the compiled engine has of a load."""
+        none = (0.0,) * (3 - len(self.roots))
+        return (float(len(self.roots)), *self.roots, *none, *self.c[1:], *none)
+
 
 @lru_cache(maxsize=4096)
 def load_models(lag: float, bandwidths: tuple[float, ...], order: int, second: float = 0.0) -> tuple[LoadModel, ...]:
@@ -254,11 +260,7 @@ def _behind(
     falls = tuple(pole_of(one) for one in starts if one)
     unknown = np.array([len({*falls} - {*model.roots}) + len(model.roots) for model in models])
     poles = np.array([0.0 if not second else pole_of(second) for second in seconds])
-    packed = np.zeros((len(models), 7))
-    for row, model in zip(packed, models, strict=True):
-        degree = row[0] = len(model.roots)
-        row[1 : 1 + degree], row[4 : 4 + degree] = model.roots, model.c[1:]
-    return models, falls, unknown, poles, packed
+    return models, falls, unknown, poles, np.array([model.packed for model in models])
 
 
 def under_loads(
@@ -279,13 +281,13 @@ def under_loads(
     freedom = len(record.pv) - np.add.outer(unknown, ends).ravel().astype(np.float64)
     tones = np.zeros((0, len(record.pv))) if tones is None else tones
     size = record.size
+    if (engine := compiled()) is not None:
+        asked = (packed, poles, falls, dead_times, record.resolution**2, record.smoothing)
+        gain, information, left = engine.walks(record.pv, inputs, lag, *asked, tones, ends)
+        return UnderLoads(gain, information, left, freedom, size)
     if record.smoothing:
         both = unsmoothed(np.vstack([record.pv, inputs]), record.smoothing)
         record, inputs = replace(record, pv=both[0], smoothing=0.0), both[1:]
-    if (engine := compiled()) is not None:
-        asked = (packed, poles, falls, dead_times, record.resolution**2)
-        gain, information, left = engine.walks(record.pv, inputs, lag, *asked, tones, ends)
-        return UnderLoads(gain, information, left, freedom, size)
     moved = responses(inputs, lag, seconds).reshape(-1, len(record.pv))
     each = [_whitened(record, moved, falls, model, dead_times, tones[:end]) for model in models for end in ends]
     gain, information, left = (np.array(part) for part in zip(*each, strict=True))

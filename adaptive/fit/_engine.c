@@ -31,7 +31,7 @@
 #include "engine_c/valves.h"
 #include "engine_c/any_load.h"
 
-#define VERSION "15"
+#define VERSION "16"
 
 /* ---------------------------------------------------------------- the door: buffers of numbers, looked at before use */
 
@@ -477,7 +477,7 @@ static int are_loads(const View *v) {
 }
 
 /* walk(pv, inputs, loads, seconds, falls, deads, numbers, tones, ends, gain, information, left): see Walk; numbers are pole,
- * rise and noise. */
+ * rise, noise and smoothing. */
 static PyObject *py_walk(View *v, Work *w, PyObject *const *from) {
     (void)w;
     static const char *const NAMES[] = {"pv", "inputs", "loads", "seconds", "falls", "deads", "numbers", "tones", "ends"};
@@ -492,7 +492,7 @@ static PyObject *py_walk(View *v, Work *w, PyObject *const *from) {
         return refuse("walk: too many tones, or no number of them"), NULL;
     if (sized(&v[1], inputs * n, "inputs") || are_loads(&v[2]) ||
         within(&v[3], 0, 1, "seconds: poles from 0 to 1") || within(&v[4], 0, 1, "falls: poles from 0 to 1") ||
-        within(&v[5], 0, 100000, "deads: 0 to 100000 samples") || sized(&v[6], 3, "numbers") ||
+        within(&v[5], 0, 100000, "deads: 0 to 100000 samples") || sized(&v[6], 4, "numbers") ||
         within(&v[6], 0, 1e300, "numbers: none below 0") || sized(&v[7], tones * n, "tones") ||
         within(&v[8], 0, (double)tones, "ends: numbers of tones"))
         return NULL;
@@ -501,12 +501,36 @@ static PyObject *py_walk(View *v, Work *w, PyObject *const *from) {
             sized(&v[9 + i], v[2].n / LOAD * v[8].n * rows * v[5].n, ANSWERS[i]))
             return NULL;
     Walk of = {v[0].x, v[1].x, v[2].x, v[3].x, v[4].x, v[5].x, v[7].x, v[8].x, n, inputs, v[2].n / LOAD, v[3].n, v[4].n,
-               v[5].n, tones, v[8].n, v[6].x[0], v[6].x[1], v[6].x[2], v[9].x, v[10].x, v[11].x};
+               v[5].n, tones, v[8].n, v[6].x[0], v[6].x[1], v[6].x[2], v[6].x[3], v[9].x, v[10].x, v[11].x};
     int failed;
     Py_BEGIN_ALLOW_THREADS
     failed = walk(&of);
     Py_END_ALLOW_THREADS
     return failed ? PyErr_NoMemory() : Py_NewRef(Py_None);
+}
+
+/* whiten(pv, inputs, load, numbers, out) -> columns: see whiten_one; numbers are smoothing, pole of the further lag and the
+ * pole that an unknown start falls with, 0 for none. out : pv, the shock and room for five columns. */
+static PyObject *py_whiten(View *v, Work *w, PyObject *const *from) {
+    (void)w;
+    static const char *const NAMES[] = {"pv", "inputs", "load", "numbers"};
+    for (int i = 0; i < 4; i++)
+        if (finite_view(from[i], &v[i], NAMES[i], 0))
+            return NULL;
+    Py_ssize_t n = v[0].n, inputs = v[1].n ? 1 : 0;
+    if (n < LANES || n > 10000000)
+        return refuse("whiten: too few samples"), NULL;
+    if (sized(&v[1], inputs * n, "inputs") || sized(&v[2], LOAD, "load") || are_loads(&v[2]) || sized(&v[3], 3, "numbers") ||
+        within(&v[3], 0, 1, "numbers: 0 to 1") || view(from[4], &v[4], "out", 1) || sized(&v[4], 7 * n, "out"))
+        return NULL;
+    static const double NO_LAG[] = {0};
+    Walk of = {v[0].x, v[1].x, v[2].x, NO_LAG, v[3].x + 2, NULL, NULL, NULL, n, inputs, 1, 1, v[3].x[2] > 0, 0, 0, 0, 0, 0, 0,
+               v[3].x[0], NULL, NULL, NULL};
+    Py_ssize_t columns;
+    Py_BEGIN_ALLOW_THREADS
+    columns = whiten_one(&of, v[3].x[1], v[4].x, v[4].x + n, v[4].x + 2 * n);
+    Py_END_ALLOW_THREADS
+    return columns < 0 ? PyErr_NoMemory() : PyLong_FromSsize_t(columns);
 }
 
 /* mix(gain, information, left, half, gains, groups, spans, size, rows, out): see Mixture. */
@@ -674,7 +698,7 @@ static PyObject *py_held(View *v, Work *w, PyObject *const *from) {
 #define FUNCTIONS(M)                                                                                                  \
     M(refine, 13) M(costs, 6) M(project, 11) M(jacobian, 6) M(gains, 8) M(colour, 3) M(search, 11) M(position, 3)     \
     M(scan, 14) M(valve_costs, 7) M(slip_costs, 8) M(screen, 9) M(walk, 12) M(mix, 10) M(any_load, 8) M(steps, 6)          \
-    M(move_steps, 7) M(closed, 8) M(held, 2)
+    M(whiten, 5) M(move_steps, 7) M(closed, 8) M(held, 2)
 #define DOOR(name, arguments)                                                                                         \
     static PyObject *door_##name(PyObject *self, PyObject *args) {                                                    \
         (void)self;                                                                                                   \

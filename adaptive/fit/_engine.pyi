@@ -108,6 +108,7 @@ def walk(
     left: Numbers,
     /,
 ) -> None: ...
+def whiten(pv: Numbers, inputs: Numbers, load: Numbers, numbers: Numbers, out: Numbers, /) -> int: ...
 def mix(
     gain: Numbers,
     information: Numbers,

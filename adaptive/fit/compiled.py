@@ -191,12 +191,13 @@ def screened(record: Window, by: tuple[float, float, float, int], numbers: int) 
 
 def walks(
     pv: FloatArray, inputs: FloatArray, lag: float, loads: FloatArray, seconds: FloatArray,
-    falls: Sequence[float], dead_times: Sequence[float], noise: float, tones: FloatArray, ends: Sequence[int],
+    falls: Sequence[float], dead_times: Sequence[float], noise: float, smoothing: float, tones: FloatArray,
+    ends: Sequence[int],
 ) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
     """gain, information and left of UnderLoads. loads : rows of degree, roots of A and coefficients of C (walk.h).
 
-    seconds, falls : poles. noise : variance of what pv cannot show. tones, ends : see under_loads; each load comes with
-    each number of tones.
+    seconds, falls : poles. noise : variance of what pv cannot show. smoothing : of Prepared. tones, ends : see
+    under_loads; each load comes with each number of tones.
     """
     pole = 1.0 if math.isinf(lag) else math.exp(-1.0 / lag)
     shape = (len(loads) * len(ends), len(seconds) * len(inputs), len(dead_times))
@@ -204,10 +205,19 @@ def walks(
     rise = 1.0 if math.isinf(lag) else abs(1.0 - pole)
     _engine.walk(
         np.ascontiguousarray(pv), np.ascontiguousarray(inputs), loads, seconds, np.array(falls),
-        np.array(dead_times), np.array((pole, rise, noise)), np.ascontiguousarray(tones), np.array(ends, dtype=float),
-        gain, information, left,
+        np.array(dead_times), np.array((pole, rise, noise, smoothing)), np.ascontiguousarray(tones),
+        np.array(ends, dtype=float), gain, information, left,
     )  # fmt: skip
     return gain, information, left
+
+
+def whitened(
+    pv: FloatArray, beside: FloatArray, load: FloatArray, smoothing: float, second: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """pv, basis and response of `whitened` of jumping_load.py. load : as of walks. second : pole of the further lag."""
+    out = np.empty((7, len(pv)))
+    columns = _engine.whiten(pv, np.ascontiguousarray(beside), load, np.array((smoothing, second, second)), out)
+    return out[0], out[2 : 2 + columns].T, out[1]
 
 
 def walks_mixed(

@@ -125,7 +125,9 @@ static int open_lagged(const AnyLoad *w, Lagged *g) {
     g->late = g->pv + n + pad, g->at = (double (*)[TOGETHER])(g->late + n);
     Walk lags = {.inputs = w->co, .seconds = &w->second, .n = n, .input_count = 1, .pole = w->pole, .rise = w->rise};
     through_lags(&lags, 0, 1, g->x);
-    reduce(w->pv, n, w->pole > 1 ? w->pole : 0, g->pv);
+    double reduced = w->pole > 1 ? w->pole : 0; /* pv is 1 - pole q of what it was, and so is its noise */
+    for (Py_ssize_t i = 0; i < n; i++)
+        g->pv[i] = w->pv[i] - (i ? reduced * w->pv[i - 1] : 0);
     memcpy(g->outside, g->pv + w->order, (size_t)many * sizeof(double));
     const double poles[] = {1, w->pole <= 1 ? w->pole : w->second, w->second};
     for (Py_ssize_t k = 0; k < g->rest; k++) {
@@ -139,7 +141,6 @@ static int open_lagged(const AnyLoad *w, Lagged *g) {
     for (int j = 0; j <= w->order; j++)
         g->own[w->order][w->order - j] = 2 * g->at[j][0];
     lay_form(w, g->rest, g->pv, g->pv, g->of_pv, g->of_pv, g->own);
-    double reduced = w->pole > 1 ? w->pole : 0; /* pv is 1 - pole q of what it was, and so is its noise */
     for (int j = 0; j <= w->order; j++) {
         g->own[j][j] += 2 * w->noise * (1 + reduced * reduced);
         if (j)

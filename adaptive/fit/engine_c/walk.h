@@ -6,12 +6,13 @@
 #include "misfit.h"
 
 enum { LANES = 8, STRETCH = 64, MOST_DEGREE = 3, MOST_FALLS = 4, MOST_TONES = 12, MOST_DEADS = 64, MOST_MIXED = 128 };
-enum { MOST_BASIS = 1 + MOST_DEGREE + MOST_FALLS + MOST_TONES };
+enum { MOST_BASIS = 1 + MOST_DEGREE + MOST_FALLS + MOST_TONES, MOST_STARTED = MOST_DEGREE + MOST_FALLS, STARTED = 8 };
 enum { DEGREE, ROOTS, BOTTOM = ROOTS + MOST_DEGREE, LOAD = BOTTOM + MOST_DEGREE };
 static const double SILENT = 1e-200;          /* what is left in a filter is nothing below this */
-static const double FADED = 1e-30;            /* what is left of a start is nothing below this: it began at 1 */
+static const double FADED = 1e-20;            /* what is left of a start is nothing below this: it began at 1 */
 static const double DEPENDENT_SHARE = 1e-10;  /* less of a column than this is round-off: the others have it already */
 static const double LEAST_SHARE = 1e-12, LEAST_INFORMATION = 1e-300, SILENT_SHARE = -40, LEAST_POWER = -700;
+enum { STEP_COST = 64 }; /* columns are as dear as one step in a row for each so many samples */
 static const double LN2_HIGH = 6.93147180369123816490e-01, LN2_LOW = 1.90821492927058770002e-10;
 
 #if defined(__GNUC__)
@@ -27,11 +28,12 @@ enum { WIDTH = 1 };
  * away: its inputs are laid free of it, as A makes them, for what grows leaves no digits to subtract. falls : poles
  * of what unknown starts of lags add. tones : sinusoids that the load may hold besides, (tone_count, n); a filter
  * makes of one the same one turned, and starts. ends : so many of them are taken, none first. noise : what pv cannot show,
- * squared, a sample. Answers: shape (load_count, end_count, second_count, input_count, dead_count). */
+ * squared, a sample. smoothing : of a recorder that made pv and inputs 1 + smoothing q of what they were. rise : 0 for inputs
+ * that are behind the lags already. Answers: shape (load_count, end_count, second_count, input_count, dead_count). */
 typedef struct {
     const double *pv, *inputs, *loads, *seconds, *falls, *deads, *tones, *ends;
     Py_ssize_t n, input_count, load_count, second_count, fall_count, dead_count, tone_count, end_count;
-    double pole, rise, noise;
+    double pole, rise, noise, smoothing;
     double *gain, *information, *left;
 } Walk;
 
@@ -43,12 +45,14 @@ typedef struct {
  * many that LANES divides it. columns : of the basis; it is nothing after `reach` but in pv. starts : columns that are not
  * zero, without pv's. tones : orthonormal among themselves (own : their squares, 1 or 0), whatever the load. What they add to
  * its starts follows from their products with these and with each other (with), as Cholesky's factor does; scale : 1 over its
- * diagonal, 0 where the others have a tone already. toned : pv along the starts, 0, and along what each tone adds. */
+ * diagonal, 0 where the others have a tone already. toned : pv along the starts, 0, and along what each tone adds. next : rows
+ * of the starts' columns follow from the rows before, by this matrix, as the states of a filter do; last : their last row. */
 typedef struct {
     Py_ssize_t pad, wide, base, inputs, columns, reach, starts, free;
     int at_once, fall[MOST_FALLS];
-    double *source, *reduced, *impulse, *rows, *basis, *tones, *spare, *sums, *memory;
+    double *source, *reduced, *impulse, *rows, *basis, *tones, *sums, *memory;
     double own[MOST_TONES], with[MOST_TONES][MOST_BASIS], scale[MOST_TONES], toned[MOST_BASIS];
+    double next[MOST_STARTED][STARTED], last[STARTED];
 } Lanes;
 
 /* What held inputs do at gain one through the lags, for `many` rows from one on, in steps that do not wait for each other. */
@@ -71,23 +75,41 @@ static void through_lags(const Walk *w, Py_ssize_t row, int many, double *out) {
     }
 }
 
-static void lay_sources(const Walk *w, Lanes *lanes) {
-    memcpy(lanes->source, w->pv, (size_t)w->n * sizeof *w->pv), lanes->source[w->n] = 1;
-    for (Py_ssize_t k = 0; k < w->fall_count; k++) {
-        double *fall = lanes->source + (2 + k) * w->n, now = 1;
-        for (Py_ssize_t i = 0; i < w->n && now > SILENT; i++, now *= w->falls[k])
-            fall[i] = now;
-    }
-    for (Py_ssize_t row = 0; row < lanes->inputs; row += LANES)
-        through_lags(w, row, row + LANES < lanes->inputs ? LANES : (int)(lanes->inputs - row),
-                     lanes->source + (2 + w->fall_count + row) * w->n);
+/* Through 1/(1 + smoothing q) in place. */
+static void unsmooth(const Walk *w, double *x) {
+    for (Py_ssize_t i = 1; w->smoothing > 0 && i < w->n; i++)
+        x[i] -= w->smoothing * x[i - 1];
 }
 
-/* x - root x(before it). */
-WIDE static void reduce(const double *restrict x, Py_ssize_t n, double root, double *restrict out) {
-    out[0] = x[0];
-    for (Py_ssize_t i = 1; i < n; i++)
-        out[i] = x[i] - root * x[i - 1];
+static void lay_sources(const Walk *w, Lanes *lanes) {
+    double *inputs = lanes->source + (2 + w->fall_count) * w->n;
+    memcpy(lanes->source, w->pv, (size_t)w->n * sizeof *w->pv), unsmooth(w, lanes->source);
+    memset(lanes->source + w->n, 0, (size_t)w->n * sizeof *w->pv), lanes->source[w->n] = 1;
+    for (Py_ssize_t k = 0; k < w->fall_count; k++) {
+        double *fall = lanes->source + (2 + k) * w->n, now = 1;
+        for (Py_ssize_t i = 0; i < w->n; i++, now = now > SILENT ? now * w->falls[k] : 0)
+            fall[i] = now;
+    }
+    for (Py_ssize_t row = 0; w->rise > 0 && row < lanes->inputs; row += LANES)
+        through_lags(w, row, row + LANES < lanes->inputs ? LANES : (int)(lanes->inputs - row), inputs + row * w->n);
+    if (!(w->rise > 0))
+        memcpy(inputs, w->inputs, (size_t)(lanes->inputs * w->n) * sizeof *inputs);
+    for (Py_ssize_t row = 0; row < lanes->inputs; row++)
+        unsmooth(w, inputs + row * w->n);
+}
+
+/* Signals side by side, each through three factors 1 - root q. root : (MOST_DEGREE, LANES). out : (n, LANES). */
+WIDE static void reduce(const double *const *x, Py_ssize_t n, const double *restrict root, double *restrict out) {
+    double before[MOST_DEGREE * LANES] = {0};
+    for (Py_ssize_t i = 0; i < n; i++, out += LANES) {
+        for (int l = 0; l < LANES; l++)
+            out[l] = x[l][i];
+        for (int j = 0; j < MOST_DEGREE * LANES; j += LANES)
+            for (int l = 0; l < LANES; l++) {
+                double now = out[l];
+                out[l] = now - root[j + l] * before[j + l], before[j + l] = now;
+            }
+    }
 }
 
 /* All that a load's A makes of the sources. What falls at a pole of A is what the impulse is already. */
@@ -104,23 +126,15 @@ static void lay_reduced(const Walk *w, Lanes *lanes, const double *load) {
     lanes->at_once = 2 * signals <= LANES ? 2 : 1;
     for (Py_ssize_t begin = 0; begin < signals; begin += LANES) {
         const double *x[LANES];
+        double root[MOST_DEGREE * LANES] = {0};
         for (int l = 0; l < LANES; l++) {
-            Py_ssize_t s = begin + l, of = s < 2 ? s : s < first ? 2 + lanes->fall[s - 2] : 2 + w->fall_count + s - first;
-            if (s >= signals || (lanes->at_once > 1 && l >= LANES / 2)) {
-                x[l] = x[l % (LANES / 2) < signals ? l % (LANES / 2) : 0];
-                continue;
-            }
-            x[l] = lanes->source + of * n;
-            for (int j = s >= first && w->pole > 1; s != 1 && j < degree; j++) {
-                double *out = lanes->spare + (2 * l + j % 2) * n;
-                reduce(x[l], n, load[ROOTS + j], out);
-                x[l] = out;
-            }
+            Py_ssize_t s = lanes->at_once > 1 ? l % (LANES / 2) : begin + l;
+            s = s < signals ? s : 0;
+            x[l] = lanes->source + (s < 2 ? s : s < first ? 2 + lanes->fall[s - 2] : 2 + w->fall_count + s - first) * n;
+            for (int j = s >= first && w->pole > 1; s != 1 && j < degree; j++)
+                root[j * LANES + l] = load[ROOTS + j];
         }
-        double *block = lanes->reduced + begin * n;
-        for (Py_ssize_t i = 0; i < n; i++)
-            for (int l = 0; l < LANES; l++)
-                block[i * LANES + l] = x[l][i];
+        reduce(x, n, root, lanes->reduced + begin * n);
     }
 }
 
@@ -136,10 +150,10 @@ WIDE static void through_bottom(const double *restrict x, Py_ssize_t n, const do
             Four c2 = *(const Four *)(low + LANES), c3 = *(const Four *)(low + 2 * LANES), d1 = *(const Four *)high;
             Four d2 = *(const Four *)(high + LANES), d3 = *(const Four *)(high + 2 * LANES);
             for (Py_ssize_t i = 0; i < many; i++) {
-                Four u = *(const Four *)(from + i * LANES) + u1, v = *(const Four *)(from + i * LANES + WIDTH) + v1;
-                u1 = u2 - c1 * u, u2 = u3 - c2 * u, u3 = -c3 * u;
-                v1 = v2 - d1 * v, v2 = v3 - d2 * v, v3 = -d3 * v;
-                *(Four *)(kept + i * LANES + l) = u, *(Four *)(kept + i * LANES + l + WIDTH) = v;
+                Four u = *(const Four *)(from + i * LANES) + u2, v = *(const Four *)(from + i * LANES + WIDTH) + v2;
+                u2 = u3 - c2 * u1, u3 = -c3 * u1, u1 = u - c1 * u1;
+                v2 = v3 - d2 * v1, v3 = -d3 * v1, v1 = v - d1 * v1;
+                *(Four *)(kept + i * LANES + l) = u1, *(Four *)(kept + i * LANES + l + WIDTH) = v1;
             }
             *(Four *)(one + l) = u1, *(Four *)(two + l) = u2, *(Four *)(three + l) = u3;
             *(Four *)(one + l + WIDTH) = v1, *(Four *)(two + l + WIDTH) = v2, *(Four *)(three + l + WIDTH) = v3;
@@ -177,11 +191,12 @@ static void whiten_all(const Walk *w, Lanes *lanes, const double *load, int many
 
 /* Makes column j orthonormal to those before it (Gram-Schmidt, twice: Giraud et al. 2005), or zero where they have it. */
 static int made_orthonormal(double *columns, Py_ssize_t j, Py_ssize_t wide, Py_ssize_t n) {
-    double *column = columns + j * wide, whole = dot(column, column, n), left;
-    for (int pass = 0; pass < 2; pass++)
-        for (Py_ssize_t m = 0; m < j; m++)
-            add(column, -dot(columns + m * wide, column, n), columns + m * wide, n);
-    left = dot(column, column, n);
+    double *column = columns + j * wide, whole = dot(column, column, n), left = whole, along = j ? dot(columns, column, n) : 0;
+    for (Py_ssize_t m = 0; m < 2 * j; m++) {
+        const double *other = columns + m % j * wide, *next = columns + (m + 1) % j * wide;
+        along = add_then_dot(column, -along, other, next, n);
+    }
+    left = j ? dot(column, column, n) : whole;
     int adds = left > DEPENDENT_SHARE * DEPENDENT_SHARE * whole && left > 0;
     multiply(column, adds ? 1 / sqrt(left) : 0, n);
     return adds;
@@ -193,6 +208,24 @@ static void add_tones(const Walk *w, const Lanes *lanes, double *along) {
         for (Py_ssize_t m = 0; m < before; m++)
             along[before] -= lanes->with[j][m] * along[m];
         along[before] *= lanes->scale[j];
+    }
+}
+
+/* How the rows of k orthonormal columns follow from each other: what a filter does from any start it does from the next row on.
+ * The impulses, the first `degree`, do so by themselves, and each fall with these and those before it. */
+static void put_next(Lanes *lanes, const double *columns, Py_ssize_t k, Py_ssize_t degree, Py_ssize_t reach, int ends) {
+    memset(lanes->next, 0, sizeof lanes->next), memset(lanes->last, 0, sizeof lanes->last);
+    for (Py_ssize_t j = 0; ends && j < k; j++)
+        lanes->last[j] = columns[j * lanes->wide + reach - 1];
+    for (Py_ssize_t j = 0; j < k; j++) {
+        Py_ssize_t among = j < degree ? degree : j + 1;
+        double size = 1, along = 0;
+        for (Py_ssize_t i = 0; i < among; i++) {
+            lanes->next[i][j] = dot(columns + i * lanes->wide, columns + j * lanes->wide + 1, reach - 1);
+            along += lanes->last[i] * lanes->next[i][j], size -= lanes->last[i] * lanes->last[i];
+        }
+        for (Py_ssize_t i = 0; i < among; i++)
+            lanes->next[i][j] += lanes->last[i] * along / size;
     }
 }
 
@@ -212,6 +245,7 @@ static double put_starts(const Walk *w, Lanes *lanes, double *y, const double *i
         lanes->starts += made_orthonormal(columns, j, apart, reach);
         add(y, -dot(column, y, reach), column, reach);
     }
+    put_next(lanes, columns, k, degree, reach, lanes->reach >= n);
     memset(lanes->toned, 0, sizeof lanes->toned);
     for (Py_ssize_t j = 0; j < w->tone_count; j++) {
         const double *tone = lanes->tones + j * apart;
@@ -226,42 +260,48 @@ static double put_starts(const Walk *w, Lanes *lanes, double *y, const double *i
         lanes->toned[k + j] = dot(tone, y, n);
     }
     add_tones(w, lanes, lanes->toned);
-    for (Py_ssize_t j = 1 + k; j % 4 && k % 4; j++) /* the last four; one that is left goes by itself */
-        memset(y + j * apart, 0, (size_t)lanes->reach * sizeof *y);
     return dot(y, y, n);
 }
 
-/* Inner products of four columns with a row, each as `dot` makes it, bit for bit; the row is read once for all four. upto,
- * n : multiples of LANES; of the first column there are n numbers. */
+/* Inner products of four rows with a column, each as `dot` makes it, bit for bit; the column is read once for all four.
+ * n : a multiple of LANES. */
 #if defined(__GNUC__)
 static inline double summed(Four low, Four high) {
     Four both = low + high;
     return (both[0] + both[1]) + (both[2] + both[3]);
 }
 
-WIDE static void four_dots(const double *restrict columns, Py_ssize_t apart, const double *restrict row, Py_ssize_t upto,
-                           Py_ssize_t n, double *restrict out) {
+WIDE static void four_dots(const double *restrict column, const double *const *rows, Py_ssize_t n, double *restrict out) {
     Four a = {0}, b = {0}, c = {0}, d = {0}, e = {0}, f = {0}, g = {0}, h = {0};
-    const double *second = columns + apart, *third = second + apart, *fourth = third + apart;
-    for (Py_ssize_t i = 0; i < upto; i += LANES) {
-        const Four *x = (const Four *)(row + i), *one = (const Four *)(columns + i), *two = (const Four *)(second + i);
+    const double *first = rows[0], *second = rows[1], *third = rows[2], *fourth = rows[3];
+    for (Py_ssize_t i = 0; i < n; i += LANES) {
+        const Four *x = (const Four *)(column + i), *one = (const Four *)(first + i), *two = (const Four *)(second + i);
         const Four *three = (const Four *)(third + i), *four = (const Four *)(fourth + i);
         a += one[0] * x[0], b += one[1] * x[1], c += two[0] * x[0], d += two[1] * x[1];
         e += three[0] * x[0], f += three[1] * x[1], g += four[0] * x[0], h += four[1] * x[1];
     }
-    for (Py_ssize_t i = upto; i < n; i += LANES) {
-        const Four *x = (const Four *)(row + i), *one = (const Four *)(columns + i);
-        a += one[0] * x[0], b += one[1] * x[1];
-    }
     out[0] = summed(a, b), out[1] = summed(c, d), out[2] = summed(e, f), out[3] = summed(g, h);
 }
 #else
-static void four_dots(const double *columns, Py_ssize_t apart, const double *row, Py_ssize_t upto, Py_ssize_t n,
-                      double *out) {
+static void four_dots(const double *column, const double *const *rows, Py_ssize_t n, double *out) {
     for (int j = 0; j < 4; j++)
-        out[j] = dot(columns + j * apart, row, j ? upto : n);
+        out[j] = dot(column, rows[j], n);
 }
 #endif
+
+/* Products of one row or column with `count` others, LANES divides n, `apart` from each other in out. */
+static void put_dots(const double *one, const double *const *others, Py_ssize_t count, Py_ssize_t n, double *out,
+                     Py_ssize_t apart) {
+    double four[4];
+    Py_ssize_t j = 0;
+    for (; j + 4 <= count; j += 4) {
+        four_dots(one, others + j, n, four);
+        for (int i = 0; i < 4; i++)
+            out[(j + i) * apart] = four[i];
+    }
+    for (; j < count; j++)
+        out[j * apart] = dot(one, others[j], n);
+}
 
 /* The whole delays that are asked for: a fraction lies between two. */
 static int whole_delays(const Walk *w, Py_ssize_t *late, int *place) {
@@ -294,19 +334,38 @@ static void own_sums(const double *row, Py_ssize_t n, Py_ssize_t pad, double *su
     }
 }
 
+/* Products of a row that comes one sample later with the starts' columns, from those as it is; lost : its sample that goes. */
+static inline void follow(const Lanes *lanes, Py_ssize_t starts, double lost, double *now) {
+    double then[STARTED] = {0};
+    for (Py_ssize_t i = 0; i < starts; i++) {
+        double kept = now[i] - lost * lanes->last[i];
+        for (int j = 0; j < STARTED; j++)
+            then[j] += kept * lanes->next[i][j];
+    }
+    memcpy(now, then, sizeof then);
+}
+
 /* Least squares of pv on one row at every dead time and number of tones, `cells` apart; information as it comes. */
-static void fit_row(const Walk *w, const Lanes *lanes, const double *basis, const double *row, const Py_ssize_t *late,
+WIDE static void fit_row(const Walk *w, const Lanes *lanes, const double *basis, const double *row, const Py_ssize_t *late,
                     int count, const int *place, Py_ssize_t cells, double *gain, double *information) {
-    double along[(2 * MOST_DEADS) * MOST_BASIS];
-    Py_ssize_t all = lanes->columns, wide = lanes->wide, reach = lanes->reach;
+    double along[(2 * MOST_DEADS) * MOST_BASIS], now[STARTED] = {0};
+    const double *others[2 * MOST_DEADS];
+    Py_ssize_t starts = lanes->columns - 1, wide = lanes->wide;
+    for (int k = 0; k < count; k++)
+        others[k] = row - late[k];
+    put_dots(basis, others, count, wide, along, MOST_BASIS);
     for (int k = 0; k < count; k++) {
         double *to = along + k * MOST_BASIS;
-        for (Py_ssize_t j = 0; j + 1 < all; j += 4)
-            four_dots(basis + j * wide, wide, row - late[k], reach, j ? reach : wide, to + j);
-        if (all % 4 == 1)
-            to[all - 1] = dot(basis + (all - 1) * wide, row - late[k], reach);
-        for (Py_ssize_t j = 0; j < w->tone_count; j += 4)
-            four_dots(lanes->tones + j * wide, wide, row - late[k], wide, wide, to + all + j);
+        Py_ssize_t later = k ? late[k] - late[k - 1] : -1;
+        for (; later > 0 && STEP_COST * later <= lanes->reach * starts; later--)
+            follow(lanes, starts, row[w->n - 1 - late[k] + later], now);
+        for (Py_ssize_t j = 0; later && j < starts; j++)
+            others[j] = basis + (1 + j) * wide;
+        if (later)
+            put_dots(row - late[k], others, starts, lanes->reach, now, 1);
+        memcpy(to + 1, now, sizeof now);
+        for (Py_ssize_t j = 0; j < w->tone_count; j++)
+            to[1 + starts + j] = dot(row - late[k], lanes->tones + j * wide, wide);
         add_tones(w, lanes, to + 1);
     }
     own_sums(row, w->n, lanes->pad, lanes->sums);
@@ -340,14 +399,19 @@ static int open_lanes(const Walk *w, Lanes *lanes) {
     size_t twins = 2 * (2 + rows) <= LANES ? 2 : 1, long_rows = twins * rows * (wide + (size_t)lanes->pad);
     lanes->base = (Py_ssize_t)((1 + MOST_DEGREE + (size_t)w->fall_count + 3) / 4 * 4 * wide);
     size_t bases = twins * (size_t)lanes->base, tones = ((size_t)w->tone_count + 3) / 4 * 4 * wide;
-    lanes->memory = calloc((signals + 2 * LANES) * n + reduced + 2 * wide + long_rows + bases + tones +
-                               2 * (size_t)lanes->pad + 2, sizeof(double));
+    lanes->memory = malloc((signals * n + reduced + 2 * wide + long_rows + bases + tones + 2 * (size_t)lanes->pad + 2) *
+                           sizeof(double));
     if (!lanes->memory)
         return -1;
-    lanes->source = lanes->memory, lanes->spare = lanes->source + signals * n;
-    lanes->reduced = lanes->spare + 2 * LANES * n, lanes->impulse = lanes->reduced + reduced;
+    lanes->source = lanes->memory, lanes->reduced = lanes->source + signals * n, lanes->impulse = lanes->reduced + reduced;
     lanes->rows = lanes->impulse + 2 * wide, lanes->basis = lanes->rows + long_rows, lanes->tones = lanes->basis + bases;
     lanes->sums = lanes->tones + tones;
+    for (size_t r = 0, apart = wide + (size_t)lanes->pad; r < twins * rows; r++) {
+        memset(lanes->rows + r * apart, 0, (size_t)lanes->pad * sizeof(double));
+        memset(lanes->rows + (r + 1) * apart - (wide - n), 0, (wide - n) * sizeof(double));
+    }
+    for (size_t end = wide; end <= bases + tones; end += wide)
+        memset(lanes->basis + end - (wide - n), 0, (wide - n) * sizeof(double));
     return 0;
 }
 
@@ -405,6 +469,33 @@ static int walk(const Walk *w) {
     }
     free(lanes.memory);
     return 0;
+}
+
+/* Under its one load, whose shocks are looked for (jumping_load.py): pv whitened; what a shock does a row later, behind one more
+ * lag (pole, 0 for none); columns that are there without any, orthonormal: of unknown starts, and the inputs. Returns how
+ * many columns, -1 without memory. */
+static Py_ssize_t whiten_one(const Walk *w, double pole, double *y, double *response, double *columns) {
+    Lanes lanes;
+    Py_ssize_t n = w->n, k;
+    if (open_lanes(w, &lanes))
+        return -1;
+    lay_sources(w, &lanes), lay_reduced(w, &lanes, w->loads), whiten_all(w, &lanes, w->loads, 1);
+    memcpy(y, lanes.basis, (size_t)n * sizeof *y);
+    response[0] = 0;
+    for (Py_ssize_t i = 1; i < n; i++) {
+        double now = lanes.impulse[i - 1] + pole * response[i - 1];
+        response[i] = fabs(now) < SILENT ? 0 : now;
+    }
+    put_starts(w, &lanes, lanes.basis, lanes.impulse, (int)w->loads[DEGREE]);
+    k = lanes.columns - 1, memset(columns, 0, (size_t)(k * n) * sizeof *columns);
+    for (Py_ssize_t j = 0; j < k; j++)
+        memcpy(columns + j * n, lanes.basis + (j + 1) * lanes.wide, (size_t)(lanes.reach < n ? lanes.reach : n) * sizeof *y);
+    for (Py_ssize_t r = 0; r < lanes.inputs; r++, k++) {
+        memcpy(columns + k * n, lanes.rows + r * (lanes.pad + lanes.wide) + lanes.pad, (size_t)n * sizeof *y);
+        made_orthonormal(columns, k, n, n);
+    }
+    free(lanes.memory);
+    return k;
 }
 
 /* ln and exp of many numbers in place, within one unit of the last digit (fdlibm, Sun Microsystems 1993), without a branch, so

@@ -90,6 +90,11 @@ def test_jumps_of_a_load_are_no_valve_and_one_that_slips_is_seen_under_them() ->
 def test_shocks_are_found_by_recursion_as_by_products_with_each(load: tuple[float, int], second: float) -> None:
     of = record("jumps")
     y, basis, response, form = whitened(of, 15.0, load, of.co, second)
+    with engine.using("numpy"):
+        by_transforms = whitened(of, 15.0, load, of.co, second)
+    np.testing.assert_allclose(y, by_transforms[0], atol=1e-9 * np.max(np.abs(y)))
+    np.testing.assert_allclose(response, by_transforms[2], atol=1e-8)
+    np.testing.assert_allclose(basis @ (basis.T @ y), by_transforms[1] @ (by_transforms[1].T @ y), atol=1e-8)
     rows, left = steps_chosen(y, response, basis, UNIQUE, 8, form)
     one_by_one = steps_chosen(y, response, basis, UNIQUE, 8)
     assert rows == one_by_one[0]
