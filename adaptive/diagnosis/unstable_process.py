@@ -26,7 +26,7 @@ from retuner.schedule.late_dataclass import dataclass, replace
 SIGMAS = 4.0  # standard deviations by which the pole must lie on the wrong side
 MODEL_ERROR = 0.003  # share of the step that no model explains
 EXPLAINED = 1.5  # what the fit may leave, in times the noise
-FEWEST_STEP_SAMPLES = 30  # samples after the step of which it may be asked
+FEWEST_STEP_SAMPLES = 12  # samples after the step of which it may be asked
 MOST_SAMPLES = 1500  # the first samples after the step, so many of them
 UNEVEN = 0.5  # how far an interval may be from the usual one, as a share of it
 POLES = (0.1, -0.05, -0.2)  # first guesses of the pole times the time that pv takes for half a setpoint step
@@ -110,24 +110,35 @@ def unstable_process(window: Window, law: SampledLaw) -> UnstableProcess | None:
         cost, x, std = best
         if cost <= most:  # else a load may have come since
             shown = fit.process(x)
-            return replace(shown, theta_s=shown.theta_s + law.dt_s / 2) if x[3] + SIGMAS * std < 0 else None
+            held = math.isfinite(_answer(shown, law, len(pv))[-1])  # to the end, not only in this part
+            return replace(shown, theta_s=shown.theta_s + law.dt_s / 2) if held and x[3] + SIGMAS * std < 0 else None
     return None
 
 
-SHARES = (1.0, 0.5, 0.25)  # parts of what followed on the step that are looked at, until one is explained
+SHARES = tuple(0.5**i for i in range(8))
+"""Parts of what followed on the step that are looked at, until one is explained: a load ends it, and of a process that
+runs away faster the further pv goes only the beginning is linear.
+"""
 
 
 def worse_on(
     found: UnstableProcess, now: SampledLaw, gains: PidGains, samples: int, limit: float
 ) -> tuple[float, float] | None:
-    """Ms before and after, where other gains are no change for the better on it; None where they are.
+    """Ms before and after, where other gains are no change for the better on it, or where it runs away FASTER; None
+    where they are.
 
     samples : of the record. limit : of Ms, under which it may grow.
     """
     law = replace(now, gains=gains)
-    before = found.ms(now)
-    after = found.ms(law) if found.is_held(law, LONGER * samples) else math.inf
-    return (before, after) if after > max(before, limit) else None
+    for process in (found, replace(found, pole_per_s=FASTER * found.pole_per_s)):
+        before = process.ms(now)
+        after = process.ms(law) if process.is_held(law, LONGER * samples) else math.inf
+        if after > max(before, limit):
+            return before, after
+    return None
+
+
+FASTER = 1.25  # A reaction that heats itself runs away the faster, the further pv goes
 
 
 HALF = 0.5

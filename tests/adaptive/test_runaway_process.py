@@ -14,14 +14,17 @@ from retuner.adaptive.loop.sampled import SampledLaw
 from retuner.adaptive.signals.response import Ending, Peak, Response
 from retuner.adaptive.signals.sample import FloatArray, LoopMode, LoopSample, Window
 from retuner.adaptive.supervision.confirmation import runaway
+from retuner.schedule.late_dataclass import replace
 
 DT, THETA, TAU, N, STEP_AT = 0.5, 2.0, 1.0, 400, 10
 LAW = SampledLaw(PidGains(0.35, 0.005), DT)
 LIMIT = 1.8
 
 
-def record(pole: float, law: SampledLaw = LAW, noise: float = 0.002, load: float = 0.0) -> Window:
-    """1 e^(-2 s) / ((s + pole)(1 + s)) under a PI controller, integrated between samples. load : from sample 200."""
+def record(pole: float, law: SampledLaw = LAW, noise: float = 0.002, load: float = 0.0, further: float = 0.0) -> Window:
+    """1 e^(-2 s) / ((s + pole)(1 + s)) under a PI controller, integrated between samples. load : from sample 200.
+    further : by which share the pole is faster for each setpoint step that pv is away.
+    """
     rng, pv, co = np.random.default_rng(1), np.zeros(N), np.zeros(N)
     sp = np.where(np.arange(N) >= STEP_AT, 1.0, 0.0)
     state: FloatArray = np.zeros(2)
@@ -33,7 +36,7 @@ def record(pole: float, law: SampledLaw = LAW, noise: float = 0.002, load: float
         u = (co[i - late] if i >= late else 0.0) + (load if i >= N // 2 else 0.0)
 
         def moves(_: float, x: FloatArray, u: float = u) -> list[float]:
-            return [(u - x[0]) / TAU, x[0] - pole * x[1]]
+            return [(u - x[0]) / TAU, x[0] - pole * (1.0 + further * x[1]) * x[1]]
 
         state = solve_ivp(moves, (0.0, DT), state, rtol=1e-8, atol=1e-10).y[:, -1]
     return Window(DT * np.arange(N, dtype=np.float64), sp, pv, co)
@@ -57,10 +60,30 @@ def test_a_load_that_came_later_is_cut_off() -> None:
     assert found.pole_per_s == pytest.approx(-0.08, rel=0.1)
 
 
+@pytest.mark.parametrize(("w0", "zeta"), [(0.1, 0.2), (0.3, 0.1)])
+def test_one_that_rings_only_begins_like_it(w0: float, zeta: float) -> None:
+    """What explains the beginning would not have been held to the end."""
+    law, fine = SampledLaw(PidGains(0.05, 0.02), DT), 20
+    rng, sp, integral = np.random.default_rng(1), np.where(np.arange(N) >= STEP_AT, 1.0, 0.0), 0.0
+    (pv, co), x = np.zeros((2, N)), np.zeros(2)
+    for i in range(N):
+        pv[i] = x[0] + 0.002 * rng.standard_normal()
+        co[i] = law.gains.kp * (sp[i] - pv[i]) + integral
+        integral += law.gains.ki * DT * (sp[i] - pv[i])
+        for _ in range(fine):
+            x = x + DT / fine * np.array([x[1], w0 * w0 * (co[i - 2] - x[0]) - 2.0 * zeta * w0 * x[1]])
+    assert unstable_process(Window(DT * np.arange(N, dtype=np.float64), sp, pv, co), law) is None
+
+
+def test_the_beginning_shows_one_that_runs_away_faster_further_up() -> None:
+    found = unstable_process(record(-0.06, further=0.2), LAW)
+    assert -0.09 < found.pole_per_s < -0.06
+
+
 def test_a_record_without_one_step_says_nothing() -> None:
     window = record(-0.08)
     assert unstable_process(window.part(slice(STEP_AT, None)), LAW) is None  # no step
-    assert unstable_process(window.part(slice(0, STEP_AT + 20)), LAW) is None  # too short
+    assert unstable_process(window.part(slice(0, STEP_AT + 10)), LAW) is None  # too short
     twice = np.where(np.arange(N) >= N // 2, 2.0, window.sp)
     assert unstable_process(Window(window.t_s, twice, window.pv, window.co), LAW) is None
 
@@ -70,6 +93,9 @@ def test_less_gain_lets_it_go_and_more_may_hold_it_better() -> None:
     less = worse_on(found, LAW, PidGains(0.05, 0.001), N, LIMIT)
     assert math.isinf(less[1])
     assert worse_on(found, LAW, PidGains(0.2, 0.002), N, LIMIT) is None  # Ms falls
+    barely = PidGains(0.1, 0.0005)
+    assert found.is_held(replace(LAW, gains=barely), N)
+    assert worse_on(found, LAW, barely, N, LIMIT)[1] > 10.0  # a pole that is a little faster is not held
     more = worse_on(found, LAW, PidGains(0.45, 0.01), N, LIMIT)
     assert more[0] < more[1]
 
