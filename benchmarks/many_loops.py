@@ -38,19 +38,10 @@ while True:
     bus.recv(timeout=1.0)
 """
 HEAD = """schema = 1
-[schedule]
-variable = "sp"
-[[schedule.region]]
-name = "all"
-kc = {kc}
-tau_i_s = 0.5
-[adaptation]
-mode = "auto"
-[bus]
-interface = "udp_multicast"
-channel = "{group}"
-[output]
-directory = "unused"
+schedule = {{ variable = "sp", region = [{{ name = "all", kc = {kc}, tau_i_s = 0.5 }}] }}
+adaptation = {{ mode = "auto" }}
+bus = {{ interface = "udp_multicast", channel = "{group}" }}
+output = {{ directory = "unused" }}
 """
 LOOP = """[[loop]]
 name = "loop {node}"
@@ -58,10 +49,9 @@ pv_unit = "%"
 pv_min = 0.0
 pv_max = 100.0
 sample_time_s = {dt}
-[loop.bus]
-node = {node}
-[loop.device]
-seed = {node}
+bus = {{ node = {node} }}
+scenario = {{ duration_s = {seconds}, steps = [{steps}] }}
+device.seed = {node}
 [loop.device.plant]
 kind = "linear"
 k = {k:.4f}
@@ -69,9 +59,6 @@ lags_s = [{lag:.4f}]
 theta_s = {theta:.4f}
 start_pv = 50.0
 noise = 0.05
-[loop.scenario]
-duration_s = {seconds}
-steps = [{steps}]
 """
 
 

@@ -137,9 +137,7 @@ def test_a_second_one_agrees_and_makes_it_surer(record: Window, shown: FittedCro
 
 
 @pytest.mark.parametrize(("std", "leads"), [(0.3, ProcessType.FOPDT), (0.05, ProcessType.TOPDT)])
-def test_a_structure_that_it_cannot_show_leads_on_only_where_it_is_known(
-    record: Window, shown: FittedCrossing, std: float, leads: ProcessType
-) -> None:
+def test_a_structure_that_it_cannot_show_leads_on_only_where_it_is_known(record, shown, std, leads):
     first = update_across(crossing(record), shown, 1, None).region_model
     assert first is not None
     third = parameters_of(ProcessModel(ProcessType.TOPDT, steep(50.0), 20.0, 15.0, 3.0, tau3_s=5.0))

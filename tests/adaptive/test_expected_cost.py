@@ -42,9 +42,7 @@ PEAKS = st.floats(1.0, 6.0)
 
 
 @given(COSTS, COSTS, PEAKS, PEAKS)
-def test_more_iae_and_more_ms_never_cost_less_and_no_ms_costs_more_than_the_most(
-    j: float, k: float, ms: float, peak: float
-) -> None:
+def test_more_iae_and_more_ms_never_cost_less_and_no_ms_costs_more_than_the_most(j, k, ms, peak):
     dear = cost(max(j, k), max(ms, peak), SETTINGS)
     assert cost(min(j, k), min(ms, peak), SETTINGS) <= dear <= SETTINGS.most
 
@@ -59,9 +57,7 @@ def test_an_unstable_loop_costs_the_most_and_a_robust_one_its_iae() -> None:
 
 
 @given(st.integers(1, 8), st.integers(0, 8), st.integers(0, 5), st.booleans(), st.booleans())
-def test_records_that_agree_make_something_else_less_likely_and_oddities_more(
-    records: int, clear: int, loads: int, limited: bool, left: bool
-) -> None:
+def test_records_that_agree_make_something_else_less_likely_and_oddities_more(records, clear, loads, limited, left):
     seen = ModelEvidence(records, min(clear, records), loads, limited, left)
     p = doubt(seen, SETTINGS)
     assert 0.0 < p < 1.0
@@ -106,9 +102,7 @@ def test_loads_that_come_back_alike_prove_less_than_a_setpoint_step() -> None:
 
 
 @given(st.floats(0.2, 5.0), st.floats(0.0, 1.0))
-def test_where_nothing_is_known_more_action_is_a_risk_and_less_helps_only_a_loop_that_swung(
-    factor: float, decay: float
-) -> None:
+def test_where_nothing_is_known_more_action_is_a_risk_and_less_helps_only_a_loop_that_swung(factor, decay):
     found = if_unknown(GOOD, scaled(factor, factor), decay, SETTINGS)
     assert abs(found) <= SETTINGS.most
     if factor > 1.0:
@@ -234,11 +228,9 @@ def processes(draw: st.DrawFn) -> tuple[Plausible, ...]:
 SEEN = st.builds(ModelEvidence, st.integers(2, 9), st.integers(0, 2), st.integers(0, 4), st.booleans(), st.booleans())
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(processes(), st.floats(1.0, 6.0), st.floats(0.0, 4.0), SEEN, st.one_of(st.none(), st.floats(0.0, 1.5)))
-def test_what_is_unstable_never_costs_less_than_what_is_proved_however_slow(
-    models: tuple[Plausible, ...], wild: float, slow: float, seen: ModelEvidence, decay: float | None
-) -> None:
+def test_what_is_unstable_never_costs_less_than_what_is_proved_however_slow(models, wild, slow, seen, decay):
     rule = simc(models[0].model, models[0].model.theta_s).gains
     out = PidGains(rule.kp * 8.0 * wild, rule.ki * 8.0 * wild)
     calm = PidGains(rule.kp * 0.1 / 10**slow, rule.ki * 0.01 / 10 ** (2 * slow))
@@ -282,9 +274,7 @@ def test_of_a_change_that_cannot_reach_stability_all_of_it_is_made() -> None:
 
 
 @given(GAINS, GAINS, st.one_of(st.none(), st.floats(0.0, 1.0)))
-def test_any_change_costs_something_where_nothing_is_known_and_never_more_than_the_most(
-    now: PidGains, new: PidGains, decay: float | None
-) -> None:
+def test_any_change_costs_something_where_nothing_is_known_and_never_more_than_the_most(now, new, decay):
     """A term that was not there before as well: P to PI, I to PI, PI to PID."""
     found = if_unknown(now, new, decay, SETTINGS)
     assert abs(found) <= SETTINGS.most

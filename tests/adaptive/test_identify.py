@@ -143,7 +143,7 @@ def test_the_real_heater() -> None:
     assert 0 < std["theta"] < 2
 
 
-@settings(max_examples=examples(25), deadline=None)
+@settings(max_examples=examples(25))
 @given(seed=st.integers(0, 10**6))
 def test_any_finite_record_gives_a_finite_answer(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -84,9 +84,7 @@ def test_an_answer_that_travelled_decides_as_observe_does(found: Asked, bench: B
     assert at_once.action is Action.WRITE
 
 
-def test_an_answer_entered_later_is_the_same_but_for_its_time_and_says_when(
-    found: Asked, bench: Bench, at_once: Decision
-) -> None:
+def test_an_answer_entered_later_is_the_same_but_for_its_time_and_says_when(found, bench, at_once):
     go_on(bench, found.samples)
     number = bench.retuner.sample_number
     late = entered(bench, found)

@@ -165,7 +165,7 @@ def signal(kind: str, n: int, rng: np.random.Generator) -> np.ndarray:
     return np.asarray(made, dtype=np.float64)
 
 
-@settings(max_examples=examples(30), deadline=None)
+@settings(max_examples=examples(30))
 @given(SIGNAL, SIGNAL, SIGNAL, st.integers(30, 700), st.integers(0, 2**16), st.sampled_from([0.0, 0.02, 0.2]))
 def test_no_window_of_any_signals_raises(sp: str, pv: str, co: str, n: int, seed: int, gaps: float) -> None:
     rng = np.random.default_rng(seed)
@@ -188,7 +188,7 @@ def test_no_window_of_any_signals_raises(sp: str, pv: str, co: str, n: int, seed
 
 
 @pytest.mark.slow
-@settings(max_examples=sized(3, 3, 400), deadline=None)
+@settings(max_examples=sized(3, 3, 400))
 @given(
     st.sampled_from([2.0, 5.0, 30.0]),
     st.sampled_from([1, 5, 12]),
@@ -198,9 +198,7 @@ def test_no_window_of_any_signals_raises(sp: str, pv: str, co: str, n: int, seed
     st.booleans(),
     st.integers(0, 2**16),
 )
-def test_no_loop_round_an_odd_valve_raises(
-    tau: float, dead: int, share: float, band: float, stops: tuple[float, float], small: bool, seed: int
-) -> None:
+def test_no_loop_round_an_odd_valve_raises(tau, dead, share, band, stops, small, seed):
     """A valve that sticks, or has stops of its own, on lags and on mostly dead time, under few or many moves."""
     rng = random.Random(seed)
     kc = share * tau / (2.0 * dead) if tau > dead else share * 0.3

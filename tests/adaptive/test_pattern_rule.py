@@ -221,9 +221,7 @@ def test_controllers_without_one_of_the_actions_are_moved_in_what_they_have(gain
 
 
 @given(s=st.floats(0.02, 1.3), period=st.floats(8, 300), tau_i=st.floats(1, 1000), setpoint=st.booleans())
-def test_steps_are_clamped_and_stay_away_from_the_dead_zone(
-    s: float, period: float, tau_i: float, setpoint: bool
-) -> None:
+def test_steps_are_clamped_and_stay_away_from_the_dead_zone(s, period, tau_i, setpoint):
     window = made((decay if setpoint else load_decay)(s, period)[: int(4 * period)], setpoint=setpoint)
     gains = PidGains(1.0, 1.0 / tau_i)
     advice = advised(window, gains, settings=replace(SETTINGS, alone=True))
@@ -259,9 +257,7 @@ def test_units_do_not_matter(size: float, time: float, gain: float, s: float) ->
     first=st.integers(0, 20),
     ending=st.sampled_from(Ending),
 )
-def test_whatever_was_recorded_the_numbers_are_finite_and_the_rule_answers(
-    e: list[float], co: list[float], peaks: int, setpoint: bool, first: int, ending: Ending
-) -> None:
+def test_whatever_was_recorded_the_numbers_are_finite_and_the_rule_answers(e, co, peaks, setpoint, first, ending):
     n = len(e)
     window = Window(np.arange(float(n)), np.zeros(n), -np.array(e), np.resize(np.array(co), n))
     found = tuple(Peak(float(i), (-1.0) ** i * (1 + i)) for i in range(peaks))

@@ -86,9 +86,7 @@ GAINS = st.builds(PidGains, st.floats(0.01, 100), st.floats(0.001, 10), st.float
 
 
 @given(wanted=GAINS, in_force=GAINS, kc=st.booleans(), tau_i=st.booleans(), tau_d=st.booleans())
-def test_locked_parameters_are_those_in_force_and_the_others_as_wanted(
-    wanted: PidGains, in_force: PidGains, kc: bool, tau_i: bool, tau_d: bool
-) -> None:
+def test_locked_parameters_are_those_in_force_and_the_others_as_wanted(wanted, in_force, kc, tau_i, tau_d):
     kept = Locks(kc, tau_i, tau_d).keep(wanted, in_force)
     for lock, value in ((kc, lambda g: g.kp), (tau_i, lambda g: g.kp / g.ki), (tau_d, lambda g: g.kd / g.kp)):
         assert value(kept) == pytest.approx(value(in_force if lock else wanted))

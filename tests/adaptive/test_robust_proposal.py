@@ -138,7 +138,7 @@ def test_where_the_fit_stopped_at_its_least_damping_a_process_that_swings_longer
 
 
 @given(zeta=st.floats(0.1, 0.84).filter(lambda zeta: abs(zeta - 0.15) > 0.02), dead=st.floats(0.1, 3.0))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_a_process_that_swings_by_itself_gets_settings_that_are_robust_and_not_slow(zeta: float, dead: float) -> None:
     """1/ki, the IAE of a load, against that of pure integral action at the same Ms: at most a tenth more."""
     model = ProcessModel(ProcessType.SOPDT, 2.0, 30.0, 30.0, dead * 30.0, zeta)

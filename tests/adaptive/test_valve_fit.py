@@ -35,9 +35,7 @@ def test_kano_follows_and_he_goes_in_jumps() -> None:
 
 
 @given(family=st.sampled_from(list(Family)), stick=st.floats(0.1, 5), share=st.floats(0, 1), seed=st.integers(0, 500))
-def test_the_valve_never_strays_from_its_signal_by_more_than_its_friction(
-    family: Family, stick: float, share: float, seed: int
-) -> None:
+def test_the_valve_never_strays_from_its_signal_by_more_than_its_friction(family, stick, share, seed):
     co = np.cumsum(np.random.default_rng(seed).standard_normal(300))
     valve = StuckValve(family, stick, share * stick)
     assert np.max(np.abs(valve.position(co) - co)) <= (stick + valve.jump) / 2 + 1e-9

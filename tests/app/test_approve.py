@@ -2,13 +2,13 @@
 
 import json
 import shutil
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import pytest
 from command_line import answer, printed, refused
+from recorded import SHORT, bodies, run_short, short_session
 
 from retuner import LoopSample, Mode, load_config
 from retuner.adaptive.trial.phase import TrialPhase
@@ -18,10 +18,6 @@ from retuner.live_view import watching_session
 from retuner.live_view.watching_session import Watching
 from retuner.session.loop_session import LoopSession
 from retuner.session.running import Run
-
-sys.path.append(str(Path(__file__).parent))
-
-from recorded import SHORT, bodies, run_short, short_session
 
 BY = ["--by", "Ada", "--note", "as discussed"]
 

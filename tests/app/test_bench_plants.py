@@ -10,18 +10,9 @@ from retuner.config.bench_plants import Plants, UnusablePlantError
 from retuner.config.loading import parse_session
 
 LOOP = """schema = 1
-[loop]
-name = "lag"
-pv_unit = "degC"
-pv_min = 0.0
-pv_max = 100.0
-sample_time_s = 1.0
-[schedule]
-variable = "sp"
-region = [{ name = "all", kc = 0.5, tau_i_s = 20.0 }]
-[bus]
-interface = "virtual"
-channel = "lag"
+loop = { name = "lag", pv_unit = "degC", pv_min = 0.0, pv_max = 100.0, sample_time_s = 1.0 }
+schedule = { variable = "sp", region = [{ name = "all", kc = 0.5, tau_i_s = 20.0 }] }
+bus = { interface = "virtual", channel = "lag" }
 [device.plant]
 """
 SCENARIO = """

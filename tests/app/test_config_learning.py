@@ -14,18 +14,8 @@ from retuner.session.assembly import retuner_settings
 OVEN = Path(__file__).parents[2] / "examples" / "oven.toml"
 LOOP = """
 schema = 1
-[loop]
-name = "tank"
-pv_unit = "m"
-pv_min = 0.0
-pv_max = 10.0
-sample_time_s = 1.0
-[schedule]
-variable = "sp"
-[[schedule.region]]
-name = "all"
-kc = 1.0
-tau_i_s = 10.0
+loop = { name = "tank", pv_unit = "m", pv_min = 0.0, pv_max = 10.0, sample_time_s = 1.0 }
+schedule = { variable = "sp", region = [{ name = "all", kc = 1.0, tau_i_s = 10.0 }] }
 """
 
 

@@ -4,7 +4,6 @@ import itertools
 import os
 import pickle
 import signal
-import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +11,7 @@ from pathlib import Path
 import pytest
 from command_line import answer
 from once import once
+from recorded import SHORT, bodies, run_short
 
 from retuner import LoopSample, Retuner
 from retuner.adaptive.supervision.decide import decide
@@ -22,10 +22,6 @@ from retuner.drivers.clock import SimulatedClock
 from retuner.replay.replaying import recorded_columns
 from retuner.session.assembly import make_retuner
 from retuner.session.outputs import read_loops
-
-sys.path.append(str(Path(__file__).parent))
-
-from recorded import SHORT, bodies, run_short
 
 DELAY = 25
 PATIENCE_S = 120.0

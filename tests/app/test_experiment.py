@@ -40,17 +40,9 @@ SERVO = Path(__file__).parents[1] / "data" / "servo" / "relay.csv"
 HEATER = Path(__file__).parents[1] / "data" / "heater" / "open_loop_step.csv"
 LOOP = """
 schema = 1
-[loop]
-name = "bench"
-pv_unit = "bar"
-pv_min = 0.0
-pv_max = 10.0
-sample_time_s = 0.1
-[schedule]
-[[schedule.region]]
-name = "all"
-kc = 3.0
-tau_i_s = 4.0
+loop = { name = "bench", pv_unit = "bar", pv_min = 0.0, pv_max = 10.0, sample_time_s = 0.1 }
+schedule = { region = [{ name = "all", kc = 3.0, tau_i_s = 4.0 }] }
+output = { directory = "out" }
 [device]
 kind = "virtual"
 seed = 3
@@ -62,8 +54,6 @@ theta_s = 0.4
 start_pv = 4.0
 start_co_pct = 40.0
 noise = 0.01
-[output]
-directory = "out"
 """
 TRUE = LinearProcess(0.1, (5.0, 0.1), (), 0.4)
 
@@ -297,8 +287,7 @@ def test_without_config_or_recording_one_line_says_what_to_give() -> None:
 
 
 def test_a_configuration_without_a_device_is_refused(loop: Path) -> None:
-    text = LOOP[: LOOP.index("[device]")] + LOOP[LOOP.index("[output]") :]
-    loop.write_text(text, encoding="utf-8")
+    loop.write_text(LOOP[: LOOP.index("[device]")], encoding="utf-8")
     assert "[device]" in refused("experiment", "step", loop)
 
 

@@ -13,6 +13,7 @@ import pytest
 from command_line import answer, printed
 from hypothesis import given
 from hypothesis import strategies as st
+from recorded import SHORT
 
 from retuner.cli import main
 from retuner.commands.run import LedgerSize
@@ -22,10 +23,6 @@ from retuner.ledger.canonical import canonical_json
 from retuner.ledger.lock import WriterLock
 from retuner.ledger.store import BUSY_TIMEOUT_S, BUSY_TRIES
 from retuner.live_view.live_screen import LiveScreen
-
-sys.path.append(str(Path(__file__).parent))
-
-from recorded import SHORT
 
 LATER_STEPS = ", { at_s = 10.0, sp = 3.0 }, { at_s = 45.0, sp = 2.0 }"
 
@@ -188,9 +185,7 @@ def test_rows_cut_off_together_with_the_head_show_against_a_hash_noted_elsewhere
     assert f"no row has the hash {head[:12]}" in document["reason"]
 
 
-def test_a_broken_chain_is_status_1_and_no_ledger_status_2(
-    path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_broken_chain_is_status_1_and_no_ledger_status_2(path, tmp_path, capsys):
     written(path)
     tamper(path, "UPDATE ledger SET clock_s = 7 WHERE seq = 2")
     assert "row 2 was changed after it was written; 1 rows before it hold" in printed(

@@ -4,7 +4,6 @@ import csv
 import json
 import shutil
 import sqlite3
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -203,9 +202,6 @@ def test_what_waits_for_a_person_is_told_at_the_end(tmp_path: Path) -> None:
 
 
 # ledger show, export and verify of a session: every row in words, whole or as far as it can be believed
-
-
-sys.path.append(str(Path(__file__).parent))
 
 
 @pytest.fixture(scope="module")

@@ -1,12 +1,13 @@
 """A session that was killed goes on with what it had learned: whatever the moment, as far as the ledger knows."""
 
 import json
-import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import pytest
+from effort import sized
+from recorded import SHORT
 
 from retuner import LoopSample, Mode, Retuner, load_config
 from retuner.adaptive.supervision.state_file import region_model_out
@@ -19,11 +20,6 @@ from retuner.session.loop_session import LoopSession
 from retuner.session.memory_file import MemoryFile, NoMemoryError, about, recall, started_with
 from retuner.session.outputs import LEDGER, MEMORY, MEMORY_BEFORE, believed_rows
 from retuner.session.running import Run
-
-sys.path.append(str(Path(__file__).parent))
-
-from effort import sized
-from recorded import SHORT
 
 
 class KilledError(BaseException):

@@ -1,13 +1,13 @@
 """retuner run --pretune: first model and settings from a commanded step, and every way in which there are none."""
 
 import json
-import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import pytest
 from command_line import answer
+from recorded import bodies
 
 from retuner import Action, GainTable, LoopSample, Mode, PidGains, Regions, Retuner, RetunerSettings, load_config
 from retuner.adaptive.decision_numbers import Basis
@@ -20,26 +20,12 @@ from retuner.session.ledger_rows import feed
 from retuner.session.pretuning import Pretuning, row
 from retuner.session.running import Run
 
-sys.path.append(str(Path(__file__).parent))
-
-from recorded import bodies
-
 LOOP = """
 schema = 1
-[loop]
-name = "tank"
-pv_unit = "degC"
-pv_min = 0.0
-pv_max = 100.0
-sample_time_s = 1.0
-[schedule]
-variable = "sp"
-[[schedule.region]]
-name = "all"
-kc = 1.5
-tau_i_s = 80.0
-[device]
-seed = 1
+loop = {{ name = "tank", pv_unit = "degC", pv_min = 0.0, pv_max = 100.0, sample_time_s = 1.0 }}
+schedule = {{ variable = "sp", region = [{{ name = "all", kc = 1.5, tau_i_s = 80.0 }}] }}
+scenario = {{ duration_s = 20.0, steps = [{{ at_s = 0.0, sp = 50.0 }}] }}
+device.seed = 1
 [device.plant]
 kind = "linear"
 k = 1.0
@@ -48,9 +34,6 @@ theta_s = 4.0
 start_pv = 50.0
 start_co_pct = {start_co}
 noise = 0.05
-[scenario]
-duration_s = 20.0
-steps = [{{ at_s = 0.0, sp = 50.0 }}]
 """
 
 Made = Callable[..., Path]

@@ -3,7 +3,6 @@
 import json
 import re
 import shutil
-import sys
 from copy import copy
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any
 
 import pytest
 from command_line import printed, refused
+from recorded import SHORT, bodies, rewritten, run_short
 
 from retuner import GainTable, PidGains, Regions
 from retuner.adaptive.region_model import proposed_borders
@@ -27,10 +27,6 @@ from retuner.gain_export.schedule_into_config import schedule_into
 from retuner.ledger import Row
 from retuner.report.ledger_words import told
 from retuner.schedule.config_section import schedule_section
-
-sys.path.append(str(Path(__file__).parent))
-
-from recorded import SHORT, bodies, rewritten, run_short
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 REGIONS = Regions("sp", "bar", ("part 1", "part 2"), 1.0, (2.5,), 9.0, 0.1)

@@ -2,18 +2,14 @@
 
 import json
 import shutil
-import sys
 from pathlib import Path
 
 import pytest
 from command_line import answer, refused
+from recorded import SHORT, bodies, rewritten
 
 from retuner.cli import main
 from retuner.decision_page.row_values import number, part
-
-sys.path.append(str(Path(__file__).parent))
-
-from recorded import SHORT, bodies, rewritten
 
 
 @pytest.fixture(scope="module")

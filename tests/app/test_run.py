@@ -230,9 +230,7 @@ def test_parquet_without_pyarrow_is_refused_before_the_run(quick, monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("failing", "rows"), [("session", 0), ("decision", 1), ("intent", 2), ("committed", 3)])
-def test_a_ledger_that_fails_changes_nothing_more_and_ends_the_run_in_one_line(
-    quick: Path, monkeypatch: pytest.MonkeyPatch, failing: str, rows: int
-) -> None:
+def test_a_ledger_that_fails_changes_nothing_more_and_ends_the_run_in_one_line(quick, monkeypatch, failing, rows):
     write = Ledger.append
     wrote: list[str] = []
 

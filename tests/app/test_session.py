@@ -260,9 +260,7 @@ def test_a_schedule_write_that_failed_is_tried_again_after_a_while(stage: Stage)
     assert stage.log.kinds().count("begin_write") == 2
 
 
-def test_a_decision_for_a_region_where_the_loop_is_not_changes_the_table_and_is_written_when_it_comes(
-    stage: Stage,
-) -> None:
+def test_a_decision_for_a_region_where_the_loop_is_not_changes_the_table_and_is_written_when_it_comes(stage):
     stage.tick()
     stage.retuner.wish, stage.retuner.wished_in = BETTER, 1
     stage.tick(n=2)
@@ -336,9 +334,7 @@ def test_a_loop_in_the_middle_of_a_write_is_looked_after_between_slow_ones(monke
 
 
 @pytest.mark.parametrize(("look_s", "most"), [(0.02, 12), (3.0, 3)])
-def test_loops_in_the_middle_of_a_write_take_half_of_the_time_at_the_most(
-    monkeypatch: pytest.MonkeyPatch, look_s: float, most: int
-) -> None:
+def test_loops_in_the_middle_of_a_write_take_half_of_the_time_at_the_most(monkeypatch, look_s, most):
     """Of twelve loops eleven are being written. Those whose look is short are all looked at between any two others."""
     stages, looks, now = [Stage() for _ in range(12)], [0] * 12, [0.0]
 

@@ -1,11 +1,12 @@
 """Setpoint bumps through the whole stack: a quiet loop learns by them, and no end of a session leaves one out."""
 
 import json
-import sys
 from pathlib import Path
 
 import pytest
 from command_line import answer
+from recorded import bodies
+from wire import Wire
 
 from retuner.adaptive.setpoint_bumps.bump_planner import BumpPhase
 from retuner.adaptive.setpoint_bumps.bump_settings import BumpSettings
@@ -19,35 +20,19 @@ from retuner.session.ledger_rows import bump_left
 from retuner.session.loop_session import LoopSession
 from retuner.session.running import with_what_was_left
 
-sys.path.append(str(Path(__file__).parent))
-
-from recorded import bodies
-from wire import Wire
-
 LOOP = """
 schema = 1
-[loop]
-name = "tank"
-pv_unit = "degC"
-pv_min = 0.0
-pv_max = 100.0
-sample_time_s = 1.0
-[schedule]
-variable = "sp"
-[[schedule.region]]
-name = "all"
-kc = 1.0
-tau_i_s = 120.0
-[adaptation]
-mode = "auto"
+loop = {{ name = "tank", pv_unit = "degC", pv_min = 0.0, pv_max = 100.0, sample_time_s = 1.0 }}
+schedule = {{ variable = "sp", region = [{{ name = "all", kc = 1.0, tau_i_s = 120.0 }}] }}
+scenario = {{ duration_s = 1300.0, steps = [{{ at_s = 0.0, sp = 50.0 }}] }}
+device.seed = 1
+adaptation.mode = "auto"
 [adaptation.bumps]
 allowed = {allowed}
 percent = 2.0
 after_h = 0.1
 announce_s = 30.0
 most_per_day = 4
-[device]
-seed = 1
 [device.plant]
 kind = "linear"
 k = 1.0
@@ -56,9 +41,6 @@ theta_s = 4.0
 start_pv = 50.0
 start_co_pct = 50.0
 noise = 0.05
-[scenario]
-duration_s = 1300.0
-steps = [{{ at_s = 0.0, sp = 50.0 }}]
 """
 SHORT_S = 2200.0
 SOON = BumpSettings(allowed=True, percent=2.0, after_h=0.0, announce_s=0.0)

@@ -1,12 +1,12 @@
 """A newer proposal of a region supersedes the older ones: in the list, for who approves, and for the session."""
 
 import shutil
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 from command_line import answer, printed
+from recorded import bodies, run_short, short_session
 
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.cli import main
@@ -15,10 +15,6 @@ from retuner.live_view import watching_session
 from retuner.live_view.watching_session import Watching
 from retuner.session.loop_session import LoopSession
 from retuner.session.orders import Order, OrderKind, put_order
-
-sys.path.append(str(Path(__file__).parent))
-
-from recorded import bodies, run_short, short_session
 
 REFUSED = "a newer proposal of its region supersedes it: "
 

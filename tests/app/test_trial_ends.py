@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import can
 import pytest
@@ -197,9 +196,7 @@ SHORT = two_regions("auto", 50.0, "at_s = 0.0, sp = 2.0", "at_s = 20.0, sp = 3.0
 
 @pytest.mark.slow
 @pytest.mark.uncounted
-def test_an_undecided_change_that_is_robust_stays_at_the_end_and_is_decided_again_by_a_replay(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_undecided_change_that_is_robust_stays_at_the_end_and_is_decided_again_by_a_replay(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "short.toml").write_text(SHORT, encoding="utf-8")
     assert "Session ended during the trial; trial gains kept" in printed("run", "short.toml", "--no-compare")

@@ -281,7 +281,7 @@ STORY = st.lists(
 )
 
 
-@settings(max_examples=examples(12), deadline=None)
+@settings(max_examples=examples(12))
 @given(STORY)
 def test_any_story_ends_on_the_verified_old_or_the_confirmed_new_set(story: list[tuple[str, int]]) -> None:
     wire = Wire(lock_out_after=20, cool_down_s=0.0)

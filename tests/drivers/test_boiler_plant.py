@@ -22,7 +22,7 @@ def test_it_rests_where_it_starts(start_c: float) -> None:
     assert boiler.aux == 100.0
 
 
-@settings(deadline=None, max_examples=examples(25))
+@settings(max_examples=examples(25))
 @given(st.floats(20.0, 110.0), st.floats(-70.0, 30.0))
 def test_valve_and_balance_belong_together(pv: float, load: float) -> None:
     boiler = BoilerPlant(QUIET)

@@ -37,18 +37,12 @@ from retuner.session.assembly import make_far_side
 
 LOOP = """
 schema = 1
-[loop]
-name = "zone"
-pv_unit = "degC"
-pv_min = 0.0
-pv_max = 400.0
-sample_time_s = 1.0
+loop = {{ name = "zone", pv_unit = "degC", pv_min = 0.0, pv_max = 400.0, sample_time_s = 1.0 }}
+bus = {{ node = 5 }}
 [schedule]
 [[schedule.region]]
 name = "all"
 {gains}
-[bus]
-node = 5
 [device]
 kind = "canopen"
 {device}

@@ -287,18 +287,8 @@ def test_a_damaged_dbc_is_one_line_or_works(damage: bytes, tmp_path: Path) -> No
 NODE, SAMPLE_S = 3, 0.02
 ODRIVE = """
 schema = 1
-[loop]
-name = "axis"
-pv_unit = "rev/s"
-pv_min = -50.0
-pv_max = 50.0
-co_min_pct = -100.0
-sample_time_s = 0.02
-[schedule]
-[[schedule.region]]
-name = "all"
-kc = 1.0
-tau_i_s = 2.0
+loop = {{ name = "axis", pv_unit = "rev/s", pv_min = -50.0, pv_max = 50.0, co_min_pct = -100.0, sample_time_s = 0.02 }}
+schedule = {{ region = [{{ name = "all", kc = 1.0, tau_i_s = 2.0 }}] }}
 [device]
 kind = "dbc"
 profile = "odrive"
@@ -412,9 +402,7 @@ def test_a_set_goes_out_in_one_frame_in_the_axis_units_and_is_believed_where_tha
 
 
 @pytest.mark.parametrize("before", [0, 10, 20])
-def test_silence_in_the_middle_of_a_write_without_read_back_ends_with_the_set_sent_again(
-    stage: Stage, before: int
-) -> None:
+def test_silence_in_the_middle_of_a_write_without_read_back_ends_with_the_set_sent_again(stage, before):
     stage.host.begin_write(PidGains(2.0, 1.5), stage.now_s)
     events = stage.run(before)
     send, stage.wire.send = stage.wire.send, lambda _: False  # nothing gets through either way

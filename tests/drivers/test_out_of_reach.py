@@ -23,19 +23,9 @@ from retuner.session.assembly import make_far_side
 
 PROFILES = Path(__file__).parents[2] / "drivers" / "profiles"
 LOOP = """schema = 1
-[loop]
-name = "wheel"
-pv_unit = "rpm"
-pv_min = -1000.0
-pv_max = 1000.0
-co_min_pct = -100.0
-co_max_pct = 100.0
-sample_time_s = 0.05
-[schedule]
-variable = "sp"
-region = [{ name = "all", kc = 0.02, tau_i_s = 1.0 }]
-[bus]
-node = 5
+loop = { name = "wheel", pv_unit = "rpm", pv_min = -1000.0, pv_max = 1000.0, co_min_pct = -100.0, sample_time_s = 0.05 }
+schedule = { variable = "sp", region = [{ name = "all", kc = 0.02, tau_i_s = 1.0 }] }
+bus = { node = 5 }
 [device]
 """
 PLANT = """

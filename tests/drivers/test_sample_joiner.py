@@ -269,7 +269,7 @@ def test_a_multiplexed_signal_counts_when_it_is_there(dbc: str) -> None:
     assert x2_at(tap, 1.0) == 9.0
 
 
-@settings(deadline=None, max_examples=examples(50))
+@settings(max_examples=examples(50))
 @given(st.binary(max_size=8), st.integers(0, 0x7FF) | st.just(1000))
 def test_any_frame_gives_a_finite_value_or_none(data: bytes, id_: int) -> None:
     tap = SignalTap((find_signal("", "PLANT", "aux", 5.0), None))
@@ -502,9 +502,7 @@ def test_bytes_that_are_no_log_are_one_line(tmp_path_factory: pytest.TempPathFac
 
 
 @given(st.integers(0, 4000), st.integers(0, 255))
-def test_a_log_with_a_changed_byte_gives_frames_or_one_line(
-    tmp_path_factory: pytest.TempPathFactory, at: int, value: int
-) -> None:
+def test_a_log_with_a_changed_byte_gives_frames_or_one_line(tmp_path_factory, at, value):
     path = tmp_path_factory.getbasetemp() / "changed.blf"
     with can.Logger(path) as writer:
         for i in range(40):

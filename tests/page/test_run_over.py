@@ -17,12 +17,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from recorded import SHORT
 from served import Served, Session
 from starlette.testclient import TestClient
-
-sys.path.append(str(Path(__file__).resolve().parents[1] / "app"))
-
-from recorded import SHORT
 
 from retuner.report.what_if import section
 

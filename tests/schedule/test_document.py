@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from retuner import GainTable, Lookup, PidGains, Regions
@@ -144,7 +144,6 @@ def test_garbage_is_refused_with_one_line(text):
     assert len(str(caught.value)) < 300
 
 
-@settings(deadline=None)
 @given(st.text())
 def test_any_text_is_refused_with_value_error(text):
     with pytest.raises(ValueError, match=r"\S"):
@@ -161,7 +160,6 @@ values = st.recursive(
 )
 
 
-@settings(deadline=None)
 @given(st.sampled_from([line for line in TEXT.splitlines() if " = " in line and line[0] != "#"]), values)
 def test_any_value_for_any_key_is_a_table_or_a_value_error(line, value):
     text = TEXT.replace(line, f"{line.split(' = ')[0]} = {value}", 1)

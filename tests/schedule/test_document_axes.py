@@ -3,7 +3,7 @@
 from itertools import pairwise
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from retuner import GainTable, Lookup, PidGains
@@ -55,7 +55,6 @@ def some_tables(draw):
     return GainTable(draw(printable), regions, gains, draw(st.sampled_from(Lookup)), draw(st.integers(0)))
 
 
-@settings(deadline=None)
 @given(some_tables())
 def test_round_trip_is_exact(table):
     text = to_toml(table)

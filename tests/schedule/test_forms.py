@@ -5,7 +5,7 @@ import math
 import struct
 
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from retuner.schedule.controller_units import NAMES, Acting, ControllerUnits
@@ -40,7 +40,6 @@ def response(gains: PidGains, s: complex) -> complex:
     return gains.kp + gains.ki / s + gains.kd * s
 
 
-@settings(deadline=None)
 @given(gains_kc, integral_times, derivative_times, magnitudes)
 def test_series_and_ideal_are_the_controllers_their_equations_say(kc, tau_i, tau_d, w):
     s = 1j * w
@@ -52,7 +51,6 @@ def test_series_and_ideal_are_the_controllers_their_equations_say(kc, tau_i, tau
     assert cmath.isclose(response(IdealGains(kc, tau_i, tau_d).to_parallel(), s), ideal, rel_tol=1e-9)
 
 
-@settings(deadline=None)
 @given(st.sampled_from(list(Form)), st.sampled_from(list(Form)), gains_kc, integral_times, derivative_times)
 def test_round_trip_over_every_pair_of_forms(first, second, kc, tau_i, tau_d):
     """P, PI, PD, PID, direct and reverse acting: through any form and back it is the same controller."""
@@ -75,7 +73,6 @@ def test_round_trip_over_every_pair_of_forms(first, second, kc, tau_i, tau_d):
     assert math.copysign(1, there["kc"]) == math.copysign(1, kc)
 
 
-@settings(deadline=None)
 @given(gains_kc, magnitudes, st.floats(1.0 + 1e-6, 1e6))
 def test_series_numbers_come_back_themselves(kc, tau_d, ratio):
     """Not only the same controller: the same numbers, when tau_i > tau_d (the root is ill-conditioned at equality)."""
@@ -89,7 +86,6 @@ def test_series_numbers_come_back_themselves(kc, tau_d, ratio):
     assert math.isclose(back.tau_d_s, tau_d, rel_tol=rel)
 
 
-@settings(deadline=None)
 @given(gains_kc, magnitudes)
 def test_the_double_root_exists_in_spite_of_rounding(kc, tau):
     gains = SeriesGains(kc, tau, tau).to_parallel()
@@ -163,7 +159,6 @@ def test_unknown_form(call):
         call()
 
 
-@settings(deadline=None)
 @given(gains_kc, magnitudes, magnitudes)
 def test_proportional_band_round_trip(kc, pv_span, co_span):
     band = proportional_band_pct(kc, pv_span, co_span)
@@ -188,7 +183,6 @@ def test_proportional_band_refuses(kc, pv_span, co_span):
         proportional_band_pct(kc, pv_span, co_span)
 
 
-@settings(deadline=None)
 @given(integral_times)
 def test_repeats_in_a_minute(tau_i):
     repeats = repeats_per_min(tau_i)
@@ -478,9 +472,7 @@ def test_deltav_has_two_forms(form: str, gain: float, reset: float, rate: float)
     sign=st.sampled_from([-1, 1]),
     acting=st.booleans(),
 )
-def test_there_and_back_on_every_vendors_controller(
-    name: str, sets: tuple[float, float, float], spans: tuple[float, float], sign: int, acting: bool
-) -> None:
+def test_there_and_back_on_every_vendors_controller(name, sets, spans, sign, acting):
     kc, tau_i, share = sets
     gains = SeriesGains(sign * kc, tau_i, share * tau_i).to_parallel()
     units = ControllerUnits.named(name, *spans, action=Acting.of(gains) if acting else None)

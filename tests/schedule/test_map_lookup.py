@@ -6,7 +6,7 @@ from fractions import Fraction
 from itertools import product
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from retuner import Axis, GainTable, Lookup, PidGains, Regions
@@ -37,7 +37,6 @@ def test_interpolation_is_exact_at_every_knot_and_clamped_outside():
         assert SMOOTH.at(3, *corner) is GAINS[i]
 
 
-@settings(deadline=None)
 @given(st.lists(some_gains, min_size=6, max_size=6), xs, x2s)
 def test_interpolated_gains_are_the_bilinear_mean(gains, x, x2):
     """Against rational arithmetic, and never outside the corners."""
@@ -59,7 +58,6 @@ def test_interpolated_gains_are_the_bilinear_mean(gains, x, x2):
         assert abs(Fraction(getattr(found, name)) - exact) <= 8 * Fraction(2.0**-52) * Fraction(most)
 
 
-@settings(deadline=None)
 @given(st.integers(0, 5), xs, x2s, st.sampled_from((HARD, SMOOTH)))
 def test_shares_are_positive_and_together_one(region, x, x2, table):
     shares = table.weights(region, x, x2)
@@ -69,7 +67,6 @@ def test_shares_are_positive_and_together_one(region, x, x2, table):
     assert len({i for i, _ in shares}) == len(shares)
 
 
-@settings(deadline=None)
 @given(st.lists(some_gains, min_size=6, max_size=6), xs, x2s, st.sampled_from((1.0, -1.0)), st.floats(0.2, 5.0))
 def test_what_is_stored_puts_in_force_what_was_wanted(gains, x, x2, sign, factor):
     """For the region that x lies in: only its set changes, and the mean is what was wanted, or there is no such set."""

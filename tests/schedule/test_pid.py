@@ -5,7 +5,7 @@ import random
 from dataclasses import replace
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from retuner.schedule.gains import PidGains
@@ -57,7 +57,6 @@ def test_one_step_by_hand():
     assert PidState(*after) == pytest.approx((105.0, 50.0, slope, co, 0))
 
 
-@settings(deadline=None)
 @given(laws(), signals, signals, st.floats(-200, 300), samples)
 def test_range_and_rate_hold_always(settings, sp, pv, co, steps):
     begin = start(settings, sp, pv, co)
@@ -70,7 +69,6 @@ def test_range_and_rate_hold_always(settings, sp, pv, co, steps):
         last = now
 
 
-@settings(deadline=None)
 @given(laws(), signals, signals, st.floats(-200, 300), samples)
 def test_reverse_action_is_the_mirror_image(settings, sp, pv, co, steps):
     """Negative gains on negated signals give the same outputs, bit for bit."""
@@ -81,7 +79,6 @@ def test_reverse_action_is_the_mirror_image(settings, sp, pv, co, steps):
     assert mirrored == outputs
 
 
-@settings(deadline=None)
 @given(laws(), signals, signals, st.floats(-200, 300), samples)
 def test_both_limits_are_treated_alike(settings, sp, pv, co, steps):
     """Turning the output's axis round (co -> -co) turns everything round, bit for bit: no side is special."""
@@ -94,7 +91,6 @@ def test_both_limits_are_treated_alike(settings, sp, pv, co, steps):
     assert other == [-u for u in outputs]
 
 
-@settings(deadline=None)
 @given(laws(), signals, signals, st.floats(-200, 300), samples)
 def test_the_integral_never_grows_where_the_output_cannot_follow(settings, sp, pv, co, steps):
     """Range or rate, whichever side; and it never moves against the error or further than the error asks."""
@@ -155,7 +151,6 @@ def test_coarse_steps_do_not_throw_the_integral_beyond_the_limit():
     assert step(settings, state, -1.0, 0.0, 10.0)[1] == 90.0
 
 
-@settings(deadline=None)
 @given(laws(), signals, signals, st.floats(-200, 300), samples)
 def test_without_integral_action_the_bias_stays(settings, sp, pv, co, steps):
     """P and PD controllers keep their bias, also while range and rate limit them."""
@@ -194,7 +189,6 @@ def test_a_rate_limit_does_not_wind_up(rate, size):
     assert pv == pytest.approx(20.0 + size, abs=0.1)
 
 
-@settings(deadline=None)
 @given(laws(), signals, signals, st.floats(-200, 300), intervals)
 def test_start_takes_over_without_a_bump(settings, sp, pv, co, dt_s):
     held = min(max(co, settings.co_min), settings.co_max)
@@ -207,7 +201,6 @@ def test_start_takes_over_without_a_bump(settings, sp, pv, co, dt_s):
 moves_by_hand = st.lists(st.tuples(signals, st.floats(-200, 300), intervals), min_size=1, max_size=9)
 
 
-@settings(deadline=None)
 @given(laws(), signals, signals, moves_by_hand)
 def test_manual_moves_keep_range_and_rate(settings, sp, pv, moves):
     state = start(settings, sp, pv, 0.0)
@@ -220,7 +213,6 @@ def test_manual_moves_keep_range_and_rate(settings, sp, pv, moves):
         assert state[LIMITED] == (co >= settings.co_max) - (co <= settings.co_min)
 
 
-@settings(deadline=None)
 @given(laws(), signals, signals, moves_by_hand)
 def test_automatic_goes_on_from_manual_without_a_bump(settings, sp, pv, moves):
     """Whatever the error: when pv goes on with its slope, D is as it was and only P follows pv."""
@@ -236,7 +228,6 @@ def test_automatic_goes_on_from_manual_without_a_bump(settings, sp, pv, moves):
     assert step(settings, state, sp, going_on, dt_s)[1] == pytest.approx(expected, abs=rounding)
 
 
-@settings(deadline=None)
 @given(laws(), samples, st.sampled_from((5e-324, 1e-300, 1e-9, 1e9, 1e300)))
 def test_whatever_happens_the_state_stays_finite(settings, steps, odd_dt):
     state = start(settings, 0.0, 0.0, 0.0)

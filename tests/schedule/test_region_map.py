@@ -5,7 +5,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from retuner.schedule.regions import Axis, Regions, RegionState, choose, enter, filtered, place, values
@@ -55,7 +55,6 @@ def walk(regions, samples, dt_s=1.0):
     return states
 
 
-@settings(deadline=None)
 @given(some_maps(), st.lists(st.tuples(numbers, numbers), min_size=1, max_size=40))
 def test_each_axis_chooses_by_itself(regions, samples):
     """A cell is where two single axes stand; neither feels what the other does, nor its failures."""
@@ -71,7 +70,6 @@ def test_each_axis_chooses_by_itself(regions, samples):
             assert (state.y, state.y2)[k] == y
 
 
-@settings(deadline=None)
 @given(some_axes(), st.lists(st.floats(-200.0, 400.0), min_size=2, max_size=80), st.floats(0.05, 5.0))
 def test_changes_are_bounded_by_the_travel(axis, xs, dt_s):
     """n changes need a travel of the filtered value of 2 h (n - 1), which is at most that of the value itself."""
@@ -105,7 +103,6 @@ def test_noise_beyond_the_hysteresis_is_held_by_the_filter():
     assert changes == [299, 0]
 
 
-@settings(deadline=None)
 @given(some_axes(lags), st.floats(-100, 100), st.floats(-100, 100), st.floats(0.01, 50.0))
 def test_the_filter_is_a_first_order_lag(axis, first, then, dt_s):
     """After n steps the distance is (tau/(tau + dt))^n of what it was: the pole of the backward difference."""
@@ -182,7 +179,6 @@ def test_cells_are_counted_row_by_row():
             call()
 
 
-@settings(deadline=None)
 @given(some_maps(), st.data())
 def test_neighbours_share_a_border(regions, data):
     a = data.draw(st.integers(0, len(regions) - 1))

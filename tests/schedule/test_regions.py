@@ -6,7 +6,7 @@ from dataclasses import FrozenInstanceError, replace
 from fractions import Fraction
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from retuner import GainTable, Lookup, PidGains
@@ -40,7 +40,6 @@ def walk(regions, xs, dt_s=1.0):
     return states
 
 
-@settings(deadline=None)
 @given(some_regions(), st.floats(-2e3, 2e3))
 def test_every_value_has_a_region_and_a_border_belongs_above(regions, x):
     assert enter(regions.law(), x, 0.0).region == bisect_right(regions.bounds, x)
@@ -49,7 +48,6 @@ def test_every_value_has_a_region_and_a_border_belongs_above(regions, x):
         assert enter(regions.law(), math.nextafter(bound, -math.inf), 0.0).region == i
 
 
-@settings(deadline=None)
 @given(some_regions(2))
 def test_every_region_can_be_entered_from_both_sides(regions):
     """Even at the widest hysteresis: at its centre x is inside, coming from below or from above."""
@@ -114,7 +112,6 @@ def test_interpolated_at_and_beyond_the_knots():
             assert SMOOTH.at(region, x) == gains
 
 
-@settings(deadline=None)
 @given(some_gains, some_gains, st.floats(50.0, 115.0), st.sampled_from((1.0, -1.0)))
 def test_interpolated_gains_are_the_exact_weighted_mean(one, two, x, sign):
     """Against rational arithmetic: within four roundings of the larger corner, and never outside the corners."""

@@ -2,26 +2,13 @@
 
 TWO_REGIONS = """
 schema = 1
-[loop]
-name = "quick"
-pv_unit = "bar"
-pv_min = 0.0
-pv_max = 10.0
-sample_time_s = 0.1
+loop = {{ name = "quick", pv_unit = "bar", pv_min = 0.0, pv_max = 10.0, sample_time_s = 0.1 }}
+adaptation = {{ mode = "{mode}" }}
 [schedule]
 variable = "sp"
 bounds = [5.0]
 hysteresis = 0.2
-[[schedule.region]]
-name = "low"
-kc = 5.0
-tau_i_s = 4.0
-[[schedule.region]]
-name = "high"
-kc = 20.0
-tau_i_s = 4.0
-[adaptation]
-mode = "{mode}"
+region = [{{ name = "low", kc = 5.0, tau_i_s = 4.0 }}, {{ name = "high", kc = 20.0, tau_i_s = 4.0 }}]
 [device]
 kind = "virtual"
 seed = 3

@@ -384,13 +384,7 @@ def test_a_record_in_which_no_slip_is_seen_speaks_a_little_against_those_of_anot
         ({Cause.SLUGGISH: 0.9, Cause.NONLINEAR: 0.1}, (), (2.0, 0.2), False),
     ],
 )
-def test_settings_go_the_way_that_the_odds_of_the_causes_ask_for(
-    monkeypatch: pytest.MonkeyPatch,
-    causes: dict[Cause, float],
-    loads: tuple[bool, ...],
-    new: tuple[float, float],
-    given: bool,
-) -> None:
+def test_settings_go_the_way_that_the_odds_of_the_causes_ask_for(monkeypatch, causes, loads, new, given):
     gains = PidGains(*new)
     monkeypatch.setattr(odds, "worthwhile", lambda _, __, asked: gains if asked(gains) else None)
     known = cast("Any", SimpleNamespace(gains=PidGains(1.0, 0.1)))
@@ -432,9 +426,7 @@ def test_settings_of_a_single_fit_ask_for_the_odds_that_all_settings_do(p: float
     ("noise", "dead", "ends", "cause"),
     [(5e-6, 2, 600, Cause.OK), (5e-4, 2, 300, Cause.OK), (5e-3, 2, 600, Cause.OK), (0.0, 0, 600, Cause.SLUGGISH)],
 )
-def test_a_loop_simulated_without_noise_has_no_valve_and_no_bend(
-    noise: float, dead: int, ends: int, cause: Cause
-) -> None:
+def test_a_loop_simulated_without_noise_has_no_valve_and_no_bend(noise, dead, ends, cause):
     """What the grid of lags and gains lacks was a valve by 97 % in two of these, a gain that bends in the others."""
     n, rng, pole, total, y = 600, np.random.default_rng(1), math.exp(-0.1), 0.0, 0.0
     sp = np.where((np.arange(n) >= 50) & (np.arange(n) < ends), 5.0, 0.0)

@@ -95,9 +95,7 @@ def after(gains: PidGains, seed: int) -> Book:
 
 
 @pytest.mark.parametrize(("rule_s", "shortest_s"), [(1.0, 10.0), (12.5, 10.0), (17.0, 14.0), (60.0, 20.0)])
-def test_less_gain_may_go_with_a_shorter_integral_time_down_to_that_of_the_rule(
-    rule_s: float, shortest_s: float
-) -> None:
+def test_less_gain_may_go_with_a_shorter_integral_time_down_to_that_of_the_rule(rule_s, shortest_s):
     """Kc x 2 and tau_I x 4: with less of all actions alone, J went from 1.5 to 2.3; with a shorter tau_I, to 1.7."""
     now = PidGains.from_ideal(1.0, 20.0)
     sets = list(settings_by_book._sets(now, settings_by_book.LESS_OF_ALL, [np.array([rule_s])], SETTINGS))
@@ -106,9 +104,7 @@ def test_less_gain_may_go_with_a_shorter_integral_time_down_to_that_of_the_rule(
 
 
 @pytest.mark.parametrize(("by_order", "shortest"), [((1.0,), 10.0), ((1.0, 1.0, 60.0), 20.0), ((1.0, 15.0), 14.0)])
-def test_no_shorter_integral_time_where_one_order_of_the_load_has_the_rules_longer(
-    by_order: tuple[float, ...], shortest: float
-) -> None:
+def test_no_shorter_integral_time_where_one_order_of_the_load_has_the_rules_longer(by_order, shortest):
     """Under real loads the whole was as good as sure of a lag of a third, and tau_I was halved though it was right."""
     now = PidGains.from_ideal(1.0, 20.0)
     times = [np.array([1.0]), *(np.array([one]) for one in by_order)]
@@ -125,9 +121,7 @@ def test_too_much_gain_is_told_from_room_for_more() -> None:
     assert weak.book_room > 0.7
 
 
-def test_less_action_follows_at_once_and_more_at_the_second_look_or_where_steps_make_room_sure(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_less_action_follows_at_once_and_more_at_the_second_look_or_where_steps_make_room_sure(monkeypatch):
     tight = by_book(after(scaled(2.6), 9), scaled(2.6), SETTINGS)
     assert tight.tuning is not None
     assert tight.tuning.gains.kp < 2.0 * GOOD.kp
@@ -273,9 +267,7 @@ def test_beside_a_tone_the_answers_to_the_setpoint_tell_the_process(*, toned: bo
     assert float(np.abs(told - expected).sum()) < 0.1
 
 
-def test_an_answer_beside_a_load_of_any_spectrum_tells_the_process_and_nothing_of_a_tone(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_an_answer_beside_a_load_of_any_spectrum_tells_the_process_and_nothing_of_a_tone(monkeypatch):
     window, books = recorded(GOOD, 7), []
     found = book_of_samples.log_likelihood_of_answers
     for asked in (found, lambda *a: np.where(a[-1], np.linspace(-50.0, 0.0, len(GAINS)), -math.inf)):
@@ -413,9 +405,7 @@ def test_the_book_is_in_the_memory() -> None:
 
 
 @pytest.mark.usefixtures("by_itself")
-def test_nothing_is_looked_at_where_clear_setpoint_steps_have_shown_the_process(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_nothing_is_looked_at_where_clear_setpoint_steps_have_shown_the_process(monkeypatch):
     for module in (retuner, by_all_samples):
         monkeypatch.setattr(module, "shown_clearly", lambda *_: True)
     looks: list[int] = []
@@ -429,9 +419,7 @@ def test_nothing_is_looked_at_where_clear_setpoint_steps_have_shown_the_process(
 
 
 @pytest.mark.usefixtures("by_itself")
-def test_what_is_kept_is_looked_at_by_itself_though_it_is_no_longer_than_the_wait(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_what_is_kept_is_looked_at_by_itself_though_it_is_no_longer_than_the_wait(monkeypatch):
     monkeypatch.setattr(retuner, "look_after_s", lambda _gains, sample_s, history: history / KEPT_LOOKS * sample_s)
     monkeypatch.setattr(retuner.Retuner, "_seen", lambda *_: retuner.NOTHING)  # no response completes
     pid = controller(2.7)
@@ -561,9 +549,7 @@ def test_other_ratios_have_more_gain_or_more_integral_action_and_less_gain(kind:
 
 
 @pytest.mark.parametrize("high", [0.1, 0.9])
-def test_a_shorter_integral_time_with_less_gain_is_for_loops_with_too_high_an_ms(
-    monkeypatch: pytest.MonkeyPatch, high: float
-) -> None:
+def test_a_shorter_integral_time_with_less_gain_is_for_loops_with_too_high_an_ms(monkeypatch, high):
     asked: list[object] = []
     monkeypatch.setattr(settings_by_book, "shares", lambda *_: (high, 0.1))
     monkeypatch.setattr(settings_by_book, "_sets", lambda _, kind, *__: asked.append(kind) or ())
@@ -819,9 +805,7 @@ def test_no_model_without_that_pole_keeps_out_the_gain_that_held_it(monkeypatch:
         assert one._still_allowed(0) == expected
 
 
-def test_the_way_back_asks_all_samples_and_the_models_of_responses_as_witnesses(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_way_back_asks_all_samples_and_the_models_of_responses_as_witnesses(monkeypatch):
     """Under a tone a right cut was taken back to Ms 4.6: models of single responses called both sets unstable."""
     before, tried = scaled(2.6), scaled(1.0)
     fiction = Plausible(ProcessModel("fopdt", 12.0 * K, tau1_s=LAG, theta_s=float(DEAD)), 0.0)
@@ -1067,9 +1051,7 @@ def test_the_book_follows_every_demand_of_robustness_that_a_person_may_make(nomi
     ("looked", "silent", "times", "robust"),
     [(True, 0, 1.0, True), (False, 1, 1.0, True), (False, 0, 1.0, False), (True, 0, 2.6, False)],
 )
-def test_a_set_on_trial_is_robust_by_all_samples_once_those_of_its_trial_are_among_them(
-    looked: bool, silent: int, times: float, robust: bool
-) -> None:
+def test_a_set_on_trial_is_robust_by_all_samples_once_those_of_its_trial_are_among_them(looked, silent, times, robust):
     book = after(scaled(times), 3)
     record = SimpleNamespace(book=book, in_force=scaled(times), table=SimpleNamespace(lookup=Lookup.HARD))
     question: Any = SimpleNamespace(record=record, trial=Trial(silent=silent), settings=RetunerSettings(1.0, 100.0))

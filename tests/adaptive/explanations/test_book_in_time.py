@@ -130,9 +130,7 @@ def test_gains_far_from_the_first_open_what_those_left_out(likely: FloatArray, t
     assert opened.under(now) is opened
 
 
-def test_a_tone_may_be_likelier_where_the_setpoint_has_moved(
-    likely: FloatArray, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_tone_may_be_likelier_where_the_setpoint_has_moved(likely, monkeypatch):
     """How late a step is answered was asked of the likeliest process without a tone, also where one was likelier."""
     asked: list[tuple[int, ...]] = []
     begun = Book.begun(GOOD, 1.0, 0.0)

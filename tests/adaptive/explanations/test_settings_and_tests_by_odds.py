@@ -132,9 +132,7 @@ def test_a_valve_that_sticks_is_seen_under_a_load_and_a_free_one_is_not(band: fl
 
 
 @pytest.mark.parametrize(("band", "step", "size"), [(0.0, 0.0, 1.0), (0.0, 0.0, 3.0), (1.0, 4.0, 3.0), (1.5, 0.0, 3.0)])
-def test_a_tone_speaks_against_a_free_valve_and_does_not_hide_one_that_sticks(
-    band: float, step: float, size: float
-) -> None:
+def test_a_tone_speaks_against_a_free_valve_and_does_not_hide_one_that_sticks(band, step, size):
     record = record_through_valve(band, step, tone=size)
     alone, beside = log_odds_of_valve([record], 1), log_odds_of_valve([record], 1, likeliest_tone(-record.pv))
     assert (alone > 10.0 and beside > 10.0) if band else (beside < -5.0)

@@ -41,9 +41,7 @@ def test_what_steps_leave_is_priced_against_the_best_walk() -> None:
         (ProcessModel(ProcessType.INTEGRATING, float(GAINS[40]) / 160.0, 0.0, 0.0, 12.0), math.inf, 0.0),
     ],
 )
-def test_the_nearest_process_of_the_grid_is_the_fit_itself(
-    model: ProcessModel, lag: float, second: float, sign: int
-) -> None:
+def test_the_nearest_process_of_the_grid_is_the_fit_itself(model, lag, second, sign):
     """Two seconds a sample; loop gains are counted in 1/4."""
     d = len(parameters_of(model))
     far = apart(LogModel(parameters_of(model), 1e-4 * np.eye(d), sign, model.type), 10.0, 4.0, 2.0)

@@ -5,7 +5,7 @@ from dataclasses import astuple, replace
 
 import pytest
 from guard_cases import GAINS, SAMPLED, SETTINGS, known, request, times
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from retuner.adaptive.guard import KC_ONLY, NO_DERIVATIVE, NO_LOCKS, ChangeRequest, GuardSettings, Locks, Ruling, prove
@@ -216,7 +216,6 @@ GAIN = st.floats(0.01, 100)
 TIME = st.floats(0.1, 1000)
 
 
-@settings(deadline=None)
 @given(
     kc=GAIN,
     tau_i=TIME,
@@ -227,9 +226,7 @@ TIME = st.floats(0.1, 1000)
     kc_max=st.sampled_from([0.5, 5.0, math.inf]),
     tau_i_max=st.sampled_from([30.0, math.inf]),
 )
-def test_every_goal_is_inside_whatever_is_asked(
-    kc: float, tau_i: float, tau_d: float, kc0: float, tau_i0: float, over: bool, kc_max: float, tau_i_max: float
-) -> None:
+def test_every_goal_is_inside_whatever_is_asked(kc, tau_i, tau_d, kc0, tau_i0, over, kc_max, tau_i_max):
     start = IdealGains(kc0, tau_i0).to_parallel()
     limits = GuardSettings(kc_max=kc_max, tau_i_max_s=tau_i_max)
     for goal in cut(IdealGains(kc, tau_i, tau_d).to_parallel(), limits, start, over):

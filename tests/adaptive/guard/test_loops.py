@@ -40,7 +40,7 @@ def test_unstable_before_and_after_less_of_everything_is_safer() -> None:
 FACTOR = st.floats(0.05, 20)
 
 
-@settings(deadline=None, max_examples=examples(150))
+@settings(max_examples=examples(150))
 @given(a=st.tuples(FACTOR, FACTOR), b=st.tuples(FACTOR, FACTOR), k=st.floats(0.3, 3), theta=st.floats(0.3, 3))
 def test_safer_means_what_it_says(a: tuple[float, float], b: tuple[float, float], k: float, theta: float) -> None:
     models = [PLAIN, replace(MODEL, k=2.0 * k, theta_s=5.0 * theta).linear()]
@@ -56,7 +56,7 @@ def test_safer_means_what_it_says(a: tuple[float, float], b: tuple[float, float]
     assert not loops.safer(new, old, GAINS) or any(map(math.isinf, after))
 
 
-@settings(deadline=None, max_examples=examples(80))
+@settings(max_examples=examples(80))
 @given(factor=st.floats(1.5, 15), share=st.floats(0.05, 1))
 def test_every_step_from_a_hot_loop_towards_its_settings_is_safer(factor: float, share: float) -> None:
     old = times(factor, factor)

@@ -264,7 +264,7 @@ def test_a_swinging_integrating_loop_gets_more_gain_as_the_safe_direction() -> N
 GAIN = st.floats(0.02, 50)
 
 
-@settings(max_examples=examples(120), deadline=None)
+@settings(max_examples=examples(120))
 @given(
     kp=GAIN,
     ki=GAIN,
@@ -274,9 +274,7 @@ GAIN = st.floats(0.02, 50)
     kind=st.sampled_from(["fopdt", "integrating"]),
     ratio=st.sampled_from([1.5, 4.0, 1000.0]),
 )
-def test_nothing_passes_unproved(
-    kp: float, ki: float, std: float, sign: int, urgent: bool, kind: str, ratio: float
-) -> None:
+def test_nothing_passes_unproved(kp, ki, std, sign, urgent, kind, ratio):
     fopdt = ProcessModel(ProcessType.FOPDT, sign * 2.0, 50.0, 0.0, 5.0)
     model = fopdt if kind == "fopdt" else ProcessModel(ProcessType.INTEGRATING, sign * 0.04, theta_s=5.0)
     best = simc(replace(model, theta_s=5.5))
@@ -313,7 +311,7 @@ def assert_within_change_limits(old: PidGains, new: PidGains, limits: GuardSetti
     assert new.ki / new.kp <= limits.total_ratio_max * old.ki / old.kp * (1 + 1e-9)
 
 
-@settings(max_examples=examples(60), deadline=None)
+@settings(max_examples=examples(60))
 @given(kp=st.floats(1.0, 30), ki=st.floats(1.0, 30), std=st.floats(0.001, 0.3))
 def test_a_loop_that_is_too_hot_is_never_refused(kp: float, ki: float, std: float) -> None:
     verdict = prove(request(times(kp, ki), models=known(std)), SETTINGS)
@@ -421,7 +419,7 @@ def limits_of(draw: st.DrawFn) -> GuardSettings:
 
 
 @pytest.mark.uncounted
-@settings(max_examples=examples(200), deadline=None)
+@settings(max_examples=examples(200))
 @given(
     sets=st.tuples(KC, KC, KC),
     limits=limits_of(),
@@ -431,15 +429,7 @@ def limits_of(draw: st.DrawFn) -> GuardSettings:
     odd=st.booleans(),
     kp=st.sampled_from([(1, 1, 1), (0, 1, 1), (1, 0, 1), (1, 1, 0)]),
 )
-def test_no_accepted_change_shows_a_failed_check(
-    sets: tuple[tuple[float, float, float], ...],
-    limits: GuardSettings,
-    kind: str,
-    urgent: bool,
-    locks: Locks,
-    odd: bool,
-    kp: tuple[int, int, int],
-) -> None:
+def test_no_accepted_change_shows_a_failed_check(sets, limits, kind, urgent, locks, odd, kp):
     in_force, wanted, start = (
         times(p * share, i, 0.0) if not share or not d else PidGains(GAINS.kp * p, GAINS.ki * i, GAINS.kp * p * d)
         for (p, i, d), share in zip(sets, kp, strict=True)

@@ -22,9 +22,7 @@ def alone(k: float, tau: float, theta: float, gains: PidGains) -> float:
 
 @settings(max_examples=20)
 @given(k=st.floats(0.5, 2.0), tau=st.floats(100.0, 1000.0), theta=st.floats(20.0, 100.0), share=st.floats(0.1, 1.0))
-def test_loops_that_do_not_act_on_each_other_have_the_ms_that_they_have_alone(
-    k: float, tau: float, theta: float, share: float
-) -> None:
+def test_loops_that_do_not_act_on_each_other_have_the_ms_that_they_have_alone(k, tau, theta, share):
     gains = PidGains.from_ideal(share * tau / (k * 2 * (theta + DT_S)), tau)
     nothing = Element(0.0, tau, 0.0, 0.0)
     first = StepAnswers((Element(k, tau, 0.0, theta), nothing), 0.0)

@@ -265,7 +265,7 @@ Doing = st.tuples(
 )
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(st.lists(Doing, max_size=12))
 def test_whatever_happens_only_two_setpoints_are_ever_asked_for_and_the_old_one_comes_back(doings) -> None:
     bench = Bench(BumpSettings(allowed=True, after_h=0.001, announce_s=5.0, longest_s=40.0, most_per_day=100))

@@ -205,7 +205,7 @@ def test_two_things_in_every_order(phase: TrialPhase) -> None:
         do(world, second)
 
 
-@settings(max_examples=examples(300), deadline=None)
+@settings(max_examples=examples(300))
 @given(
     st.sampled_from(UNDECIDED),
     st.sampled_from(PAIRS),
@@ -213,9 +213,7 @@ def test_two_things_in_every_order(phase: TrialPhase) -> None:
     st.booleans(),
     st.lists(st.sampled_from(sorted(HAPPENS)), min_size=3, max_size=12),
 )
-def test_many_things_in_any_order(
-    phase: TrialPhase, pair: tuple[PidGains, PidGains], known: str, asks: bool, names: list[str]
-) -> None:
+def test_many_things_in_any_order(phase, pair, known, asks, names):
     world = World(phase, *pair, KNOWN[known], asks=asks)
     for name in names:
         do(world, name)

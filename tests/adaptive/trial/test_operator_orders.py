@@ -165,9 +165,7 @@ def test_a_proposal_stands_until_its_time_or_its_gains_are_over(in_force: PidGai
     st.floats(0, 1e9),
     *(st.floats(1e-6, 1e6) for _ in range(4)),
 )
-def test_a_proposal_comes_back_from_its_document(
-    digest: str, number: int, t_s: float, a: float, b: float, c: float, d: float
-) -> None:
+def test_a_proposal_comes_back_from_its_document(digest, number, t_s, a, b, c, d):
     offered = Proposal(digest, number, "low", t_s, PidGains(a, b), PidGains(c, d), None)
     assert Proposal.from_dict(offered.to_dict()) == offered
 
@@ -370,16 +368,14 @@ def do(world: World, name: str) -> None:
 
 
 @pytest.mark.uncounted
-@settings(max_examples=examples(100), deadline=None)
+@settings(max_examples=examples(100))
 @given(
     st.tuples(*[st.sampled_from(FACTORS)] * 3),
     st.sampled_from("abc"),
     st.sampled_from(FACTORS),
     st.lists(st.sampled_from(sorted(HAPPENS)), min_size=3, max_size=10),
 )
-def test_what_runs_is_never_less_robust_after_anything(
-    before: tuple[float, ...], region: str, factor: float, names: list[str]
-) -> None:
+def test_what_runs_is_never_less_robust_after_anything(before, region, factor, names):
     world = World(before)
     for name in (f"{region} x {factor:g}", f"{region} written", *names):
         do(world, name)

@@ -81,7 +81,7 @@ def test_more_models_than_needed_are_cut_to_the_likeliest() -> None:
         predict([], gains, gains)
 
 
-@settings(max_examples=examples(15), deadline=None)
+@settings(max_examples=examples(15))
 @given(st.floats(0.01, 100), st.floats(0.02, 5), st.floats(0.2, 5))
 def test_a_promise_scales_with_time_and_gain(scale_s: float, theta: float, k: float) -> None:
     def at(s: float, gain: float) -> Prediction:

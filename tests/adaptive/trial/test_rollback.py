@@ -78,9 +78,7 @@ class Bench:
 
 @pytest.mark.parametrize("phase", UNDECIDED, ids=lambda p: p.name)
 @pytest.mark.parametrize("cause", ABORTS, ids=lambda c: c.name)
-def test_every_undecided_phase_under_every_cause_with_either_set_the_more_robust(
-    phase: TrialPhase, cause: TrialEvent
-) -> None:
+def test_every_undecided_phase_under_every_cause_with_either_set_the_more_robust(phase, cause):
     known = StillAllowed((PROCESS,))
     for one, other in PAIRS:
         old, tried = SETS[one], SETS[other]
@@ -244,7 +242,7 @@ PROCESSES = st.builds(
 )
 
 
-@settings(max_examples=examples(60), deadline=None)
+@settings(max_examples=examples(60))
 @given(
     st.sampled_from([c for c in ABORTS if c is not E.ORDERED_BACK]),
     st.lists(GAINS, min_size=2, max_size=4, unique=True),
@@ -299,7 +297,7 @@ def expected(known: StillAllowed, each: Iterable[float]) -> float:
 
 
 @example(E.WORSE, P.TRIAL, *NEXT_TO_UNSTABLE, None)
-@settings(max_examples=examples(150), deadline=None)
+@settings(max_examples=examples(150))
 @given(
     st.sampled_from(ABORTS),
     st.sampled_from(UNDECIDED),
@@ -307,13 +305,7 @@ def expected(known: StillAllowed, each: Iterable[float]) -> float:
     st.lists(st.tuples(PROCESSES, st.floats(0.02, 1.0)), min_size=1, max_size=4),
     st.sampled_from([None, 0.1, 0.5, 1.2]),
 )
-def test_every_abort_ends_on_a_set_that_is_no_less_stable_than_what_ran(
-    cause: TrialEvent,
-    phase: TrialPhase,
-    sets: list[PidGains],
-    models: list[tuple[LinearProcess, float]],
-    swung: float | None,
-) -> None:
+def test_every_abort_ends_on_a_set_that_is_no_less_stable_than_what_ran(cause, phase, sets, models, swung):
     old, tried, *earlier = sets
     known = StillAllowed(tuple(p for p, _ in models), weights=tuple(w for _, w in models))
     bench = Bench(phase, old, tried, known)

@@ -69,7 +69,7 @@ def test_equal_decisions_give_equal_drawings_and_others_other_ids() -> None:
 
 @pytest.mark.slow
 @pytest.mark.uncounted
-@settings(max_examples=examples(12), deadline=None)
+@settings(max_examples=examples(12))
 @given(
     st.sampled_from(["fopdt", "integrating", "integrating-lag", "sopdt"]),
     st.floats(-6, 6),
@@ -77,9 +77,7 @@ def test_equal_decisions_give_equal_drawings_and_others_other_ids() -> None:
     st.sampled_from([1.0, -1.0]),
     st.booleans(),
 )
-def test_loops_of_all_kinds_are_drawn(
-    kind: str, log_k: float, log_gain: float, sign: float, integral_only: bool
-) -> None:
+def test_loops_of_all_kinds_are_drawn(kind, log_k, log_gain, sign, integral_only):
     lags = {"fopdt": (90.0, 0.0), "sopdt": (90.0, 20.0), "integrating": (0.0, 0.0), "integrating-lag": (0.0, 20.0)}[
         kind
     ]
