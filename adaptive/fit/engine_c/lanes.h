@@ -261,16 +261,40 @@ static void read_parameters(Work *w, const double *p, double least) {
     w->swing = LAG[type] >= 0 && SECOND[type] >= 0 ? SWING_WEIGHT * fmax(0, p[SECOND[type]] - p[LAG[type]] - most) : 0;
 }
 
-static void put_basis(Work *w, int j, double at, const Modes *m, const Interval *steps, int rounded) {
-    Basis *basis = &w->basis[j];
-    basis->at = at, basis->first = first_at(&w->p, at);
-    if (!rounded)
-        basis->c = basis->a; /* not used, but read */
-    run_step(&w->p, m, steps, basis->a, basis->b, at, basis->first);
-    if (rounded) {
-        Modes lag = modes_of(0, w->rate, 0);
-        run_step(&w->p, &lag, w->lag_steps, basis->c, w->scratch, at, basis->first); /* the second lane is not used */
+/* Four steps on an even clock, of modes that are not a pair: chains that do not wait for each other. */
+static void run_four_steps(const Problem *p, const Modes *m, const Interval *steps, Basis *const *of) {
+    double x[4] = {0}, y[4] = {0}, vx[4] = {0}, vy[4] = {0}, ex = steps->e[0], ey = steps->e[3];
+    for (Py_ssize_t i = 0, next; i < p->n; i = next) {
+        next = p->n;
+        for (int j = 0; j < 4; j++)
+            if (of[j]->first == i) {
+                Interval start = interval_of(m, p->t[i] - of[j]->at);
+                x[j] = start.v[0], vx[j] = steps->v[0];
+                y[j] = m->count > 1 ? start.v[1] : 0, vy[j] = m->count > 1 ? steps->v[1] : 0;
+            } else if (of[j]->first > i && of[j]->first < next)
+                next = of[j]->first;
+        double *a = of[0]->a, *b = of[0]->b, *c = of[1]->a, *d = of[1]->b;
+        double *e = of[2]->a, *f = of[2]->b, *g = of[3]->a, *h = of[3]->b;
+        for (Py_ssize_t k = i; k < next; k++) {
+            a[k] = x[0], b[k] = y[0], c[k] = x[1], d[k] = y[1], e[k] = x[2], f[k] = y[2], g[k] = x[3], h[k] = y[3];
+            for (int j = 0; j < 4; j++)
+                x[j] = ex * x[j] + vx[j], y[j] = ey * y[j] + vy[j];
+        }
     }
+}
+
+/* The lanes of steps, in basis->at. */
+static void run_steps(Work *w, const Modes *m, const Interval *steps, Basis *const *of, int count) {
+    int j = 0;
+    Basis none = {0, w->p.n, w->scratch, w->scratch, NULL}; /* begins nowhere */
+    for (int k = 0; k < count; k++)
+        of[k]->first = first_at(&w->p, of[k]->at);
+    for (; w->p.dt > 0 && !m->pair && j + 2 <= count; j += 4) {
+        Basis *four[] = {of[j], of[j + 1], j + 2 < count ? of[j + 2] : &none, j + 3 < count ? of[j + 3] : &none};
+        run_four_steps(&w->p, m, steps, four);
+    }
+    for (; j < count; j++)
+        run_step(&w->p, m, steps, of[j]->a, of[j]->b, of[j]->at, of[j]->first);
 }
 
 /* All lanes at the parameters p. */
@@ -283,15 +307,25 @@ static void run_lanes(Work *w, const double *p, double least, int slopes) {
         intervals(q, &lag, w->lag_steps);
         intervals(q, &w->load_modes, w->load_steps);
     }
+    Basis *plain[2 * MOST_STARTS + MOST_LOADS], *rounded[MOST_LOADS] = {NULL};
+    int many = 0, few = 0;
     for (int j = 0; j < q->starts; j++)
-        put_basis(w, j, q->start[j], &w->modes, w->steps, 0);
+        w->basis[j].at = q->start[j], plain[many++] = &w->basis[j];
     for (int j = 0; q->motion && j < q->starts; j++)
-        put_basis(w, q->starts + j, q->start[j] + w->theta, &w->modes, w->steps, 0);
+        w->basis[q->starts + j].at = q->start[j] + w->theta, plain[many++] = &w->basis[q->starts + j];
     for (int j = 0; j < q->loads; j++) {
-        int rounded = q->rounded && !is_corner(q, j);
-        put_basis(w, 2 * q->starts + j, p[SIZE[q->type] + j], rounded ? &w->load_modes : &w->modes,
-                  rounded ? w->load_steps : w->steps, rounded);
+        Basis *of = &w->basis[2 * q->starts + j];
+        of->at = p[SIZE[q->type] + j];
+        if (q->rounded && !is_corner(q, j))
+            rounded[few++] = of;
+        else
+            plain[many++] = of, of->c = of->a; /* not used, but read */
     }
+    run_steps(w, &w->modes, w->steps, plain, many);
+    run_steps(w, &w->load_modes, w->load_steps, rounded, few);
+    Modes lag = few ? modes_of(0, w->rate, 0) : w->modes;
+    for (int j = 0; j < few; j++) /* the second lane is not used */
+        run_step(q, &lag, w->lag_steps, rounded[j]->c, w->scratch, rounded[j]->at, rounded[j]->first);
     run_late(w, slopes);
 }
 
