@@ -102,8 +102,7 @@ def _told(
 ) -> FloatArray:
     """ln L of inputs, each with its best second lag, dead time and gain of the right sign, shape (loads, inputs)."""
     fits = under_loads(record, inputs, lag, loads, dead)
-    right = np.where(fits.gain * direction > 0, fits.gain, 0.0)
-    told = TEMPER * fits.tempered(right[..., None])[..., 0].max(axis=2)
+    told = TEMPER * fits.in_direction(direction).max(axis=2)
     return np.asarray(told.reshape(len(loads), -1, len(inputs)).max(axis=1))
 
 

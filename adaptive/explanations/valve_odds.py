@@ -127,14 +127,21 @@ class Given:
         seconds: tuple[float, ...] | None = None,
     ) -> FloatArray:  # fmt: skip
         """Tempered log-likelihoods, shape (loads, second lags, rows, dead times); no gain of the wrong sign."""
-        if seconds and len(seconds) > 1 and any(order == BOTH for _, order in loads):
-            each = [self.weighed(rows, lag, loads, dead, seconds=(second,)) for second in seconds]
-            return np.concatenate(each, axis=1)
+        both = np.array([order == BOTH for _, order in loads])
+        if seconds and len(seconds) > 1 and both.any():  # only a walk through both lags differs from one to the next
+            found = np.empty((len(loads), len(seconds), len(rows), len(dead)))
+            other, same = ([load for load in loads if (load[1] == BOTH) is of] for of in (True, False))
+            if same:
+                found[~both] = self.weighed(rows, lag, same, dead, seconds=seconds)
+            for i, second in enumerate(seconds):
+                found[both, i] = self.weighed(rows, lag, other, dead, seconds=(second,))[:, 0]
+            return found
         given, tone = (self.record, rows, lag, loads, dead), self.tone
         fits = under_loads(*given, seconds=seconds, tones=tone.columns, ends=tone.taken)
-        right = np.where(fits.gain * self.direction > 0, fits.gain, 0.0)
-        by_tone = fits.tempered(right[..., None]).reshape(len(loads), len(self.tone.taken), -1, len(rows), len(dead))
-        return np.asarray(WEIGHT * np.max(by_tone - np.array(self.tone.prices)[:, None, None, None] / TEMPER, axis=1))
+        told = WEIGHT * fits.in_direction(self.direction).reshape(len(loads), len(tone.taken), -1, len(rows), len(dead))
+        if len(tone.taken) == 1:
+            return np.asarray(told[:, 0])
+        return np.asarray(np.max(told - WEIGHT * np.array(tone.prices)[:, None, None, None] / TEMPER, axis=1))
 
     def screened(self, rows: FloatArray, loads: Loads) -> FloatArray:
         """Tempered log-likelihood of rows behind one lag, the likeliest; shape (loads, rows)."""

@@ -70,6 +70,7 @@ process takes the place of a bandwidth that is missing."""
 BEHIND_LAGS = (*((one, VALUE) for one in FINE), *((one, SLOPE) for one in BANDWIDTHS[1:-1]))
 LOADS_OF_BOOK = (*BEHIND_LAGS, *((bandwidth, AT_PV) for bandwidth in BANDWIDTHS[1:]))
 """Loads that the book has for every process, and all that it has for those that do not run away by themselves."""
+NO_TONES = np.zeros((0, 0))
 ORDERS = (VALUE, SLOPE, AT_PV)
 """As they stand in the loads of the book."""
 TEMPER = 6.0
@@ -221,6 +222,11 @@ class UnderLoads:
         half = self.freedom[:, None, None, None] / (2 * TEMPER)
         return np.asarray(-half * np.log((self.left[..., None] + more) / self.size))
 
+    def in_direction(self, direction: int) -> FloatArray:
+        """The same of the likeliest gain of this sign, none if it has the other; shape (loads, inputs, dead times)."""
+        more = np.where(self.gain * direction > 0, 0.0, self.information * self.gain**2)
+        return np.asarray(np.log((self.left + more) / self.size) * (self.freedom / (-2 * TEMPER))[:, None, None])
+
     def mixed(self, gains: FloatArray, groups: FloatArray | None = None, spans: FloatArray | None = None) -> FloatArray:
         """ln of the mean over loads of exp(ln L / TEMPER), shape (groups, inputs, dead times, gains).
 
@@ -258,7 +264,7 @@ def _behind(
     models = tuple(next(by_order[order]) for _, order in loads)
     starts = second_lags(lag)[1:] if through is None else (lag if AT_PV in by_order else 0.0, behind)
     falls = tuple(pole_of(one) for one in starts if one)
-    unknown = np.array([len({*falls} - {*model.roots}) + len(model.roots) for model in models])
+    unknown = np.array([float(len({*falls} - {*model.roots}) + len(model.roots)) for model in models])
     poles = np.array([0.0 if not second else pole_of(second) for second in seconds])
     return models, falls, unknown, poles, np.array([model.packed for model in models])
 
@@ -278,8 +284,8 @@ def under_loads(
     if seconds is None:
         seconds = second_lags(lag)[slice(through, None if through is None else through + 1)]
     models, falls, unknown, poles, packed = _behind(lag, tuple(loads), seconds, through)
-    freedom = len(record.pv) - np.add.outer(unknown, ends).ravel().astype(np.float64)
-    tones = np.zeros((0, len(record.pv))) if tones is None else tones
+    freedom = len(record.pv) - np.add.outer(unknown, ends).ravel()
+    tones = NO_TONES if tones is None else tones
     size = record.size
     if (engine := compiled()) is not None:
         asked = (packed, poles, falls, dead_times, record.resolution**2, record.smoothing)

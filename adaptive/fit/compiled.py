@@ -204,9 +204,9 @@ def walks(
     gain, information, left = (np.empty(shape) for _ in range(3))
     rise = 1.0 if math.isinf(lag) else abs(1.0 - pole)
     _engine.walk(
-        np.ascontiguousarray(pv), np.ascontiguousarray(inputs), loads, seconds, np.array(falls),
-        np.array(dead_times), np.array((pole, rise, noise, smoothing)), np.ascontiguousarray(tones),
-        np.array(ends, dtype=float), gain, information, left,
+        np.ascontiguousarray(pv), np.ascontiguousarray(inputs), loads, seconds, array("d", falls),
+        array("d", dead_times), array("d", (pole, rise, noise, smoothing)), np.ascontiguousarray(tones),
+        array("d", ends), gain, information, left,
     )  # fmt: skip
     return gain, information, left
 
