@@ -365,7 +365,8 @@ WIDE static void fit_row(const Walk *w, const Lanes *lanes, const double *basis,
             put_dots(row - late[k], others, starts, lanes->reach, now, 1);
         memcpy(to + 1, now, sizeof now);
         for (Py_ssize_t j = 0; j < w->tone_count; j++)
-            to[1 + starts + j] = dot(row - late[k], lanes->tones + j * wide, wide);
+            others[j] = lanes->tones + j * wide;
+        put_dots(row - late[k], others, w->tone_count, wide, to + 1 + starts, 1);
         add_tones(w, lanes, to + 1);
     }
     own_sums(row, w->n, lanes->pad, lanes->sums);
