@@ -374,8 +374,9 @@ def _by_responses(found: Findings, seen: AllSamples, told: BookNumbers) -> tuple
     is one more hypothesis, under which it must do no harm. Samples with a setpoint step need none but what clear steps
     have shown. None where several records identify nothing, because co does nothing: a valve may stand.
 
-    By loads alone a model counts by which Ms is good so far; where two records agree on it, one whose Ms is within the
-    odds of the book, too. Where none agree and these are sure of room, no model is asked.
+    By loads alone a model counts by which Ms is good so far; where two records agree on it, or a clear step has shown it
+    but a tone moves the loop, one whose Ms is within the odds of the book, too: of a tone's waves steps make a process
+    that swings. Where none agree and these are sure of room, no model is asked.
     """
     record, settings = found.record, found.settings
     known, now = record.region_models.get(record.region), record.in_force
@@ -386,11 +387,12 @@ def _by_responses(found: Findings, seen: AllSamples, told: BookNumbers) -> tuple
         much = PidGains(MOST_ROOM * now.kp, MOST_ROOM * now.ki, MOST_ROOM * now.kd)
         if _ms(known.plausible[0], much, settings) <= MS_OF_ROOM:
             return None
-    if seen.shown and known.identifiable:
+    toned = told.book_tone >= settings.book.less_odds
+    if seen.shown and known.identifiable and not toned:
         return known.plausible
-    if not seen.by_loads:
+    if not (seen.by_loads or seen.shown):
         return ()
-    if known.identifiable and agreed:
+    if known.identifiable and (agreed or seen.shown):
         most = max(told.book_ms_high, settings.book.ms_good)
         return tuple(one for one in known.plausible if min(_ms(one, now, settings), MS_SHOWN) <= most)
     asked = known.plausible if told.book_room < settings.book.sure_odds else ()
