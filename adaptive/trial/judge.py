@@ -6,8 +6,9 @@ inexactness can do, and is no improvement on the gains before either:
     decay - level s(decay)  >  max(greatest promised + decay_slack, harmless_decay)   and  > before
     (IAE - its noise)/unit  >  greatest promised x iae_slack                          and  > before
 
-(before: the old gains, as the response showed them that led to the change, else on the best model; a model that calls
-them unstable without that having been seen says nothing of their IAE. See response_numbers.py; s from the noise of the
+(before: the old gains, as the response showed them that led to the change, else on the best model. Where it swung more
+than any model allows after a load, loads made it swing: what another one does must grow. A model that calls them
+unstable without that having been seen says nothing of their IAE. See response_numbers.py; s from the noise of the
 peaks.) It is WORSE as well when the old gains were surely better on the models that are still allowed, whatever
 the upset was (posterior_check.py). It is not WORSE by its two numbers where a process that explains this and several
 records before it holds the new gains for robust: then more than one upset made the peaks; nor by anything where they
@@ -46,6 +47,7 @@ MEAN_OF_NOISE = 0.8
 """Mean of |n| over the standard deviation of normal noise n."""
 NOISE_RISES = 4.0  # standard deviations in a noise band by default: a band that the user set counts as so many as well
 WORSE_WORDS = "worse than predicted: "
+STAYS = 1.0  # decay up to which a second load makes a second peak
 LIMITED = 0.05
 """Share of limited samples from which the IAE is not the tuning's alone."""
 
@@ -161,7 +163,10 @@ def judge(
         else (prediction.load_step, prediction.load_before)
     )
     sigma = sigma_of(seen.response.band, prediction)
-    swings, decay = _swings(seen.response, now, prediction.decay_before(setpoint), sigma, settings)
+    was = prediction.decay_before(setpoint)
+    if not setpoint and was > max(then.decay.high + settings.decay_slack, settings.harmless_decay):
+        was = max(was, STAYS)  # no model makes it so large: loads did, and may again
+    swings, decay = _swings(seen.response, now, was, sigma, settings)
     ran_away = prediction.decay_seen is not None and prediction.decay_seen > max(
         now.decay.high, settings.harmless_decay
     )

@@ -162,6 +162,21 @@ def test_peaks_within_noise_do_not_speak_against_the_gains() -> None:
     assert judge(sure, PROMISE, GOOD, S).finding is TrialFinding.WORSE
 
 
+@pytest.mark.parametrize(
+    ("before", "peaks", "setpoint", "worse"),
+    [(0.71, (20.0, -17.0, 14.0), False, False), (0.05, (20.0, -17.0, 14.0), False, True),
+     (0.71, (20.0, -22.0, 25.0), False, True), (0.71, (20.0, -17.0, 14.0), True, True)],
+)  # fmt: skip
+def test_where_loads_made_the_response_before_swing_only_a_swing_that_grows_is_worse(
+    before: float, peaks: tuple[float, ...], *, setpoint: bool, worse: bool
+) -> None:
+    """A slow loop under real loads had 0.71, where every model has none: 0.82 took back a change that was right."""
+    base = example()
+    waves = tuple(Peak(float(i), e) for i, e in enumerate(peaks))
+    seen = replace(base, response=replace(base.response, peaks=waves, sp_changed=setpoint))
+    assert (judge(seen, replace(PROMISE, decay_seen=before), GOOD, S).finding is TrialFinding.WORSE) is worse
+
+
 def test_what_was_seen_of_the_old_gains_counts_more_than_what_a_model_says_of_them() -> None:
     """A model with five times the gain calls the good gains unstable and promises much of sluggish ones."""
     wrong = Plausible(replace(MODEL, k=5 * MODEL.k), 0.0)
