@@ -374,9 +374,9 @@ def _by_responses(found: Findings, seen: AllSamples, told: BookNumbers) -> tuple
     is one more hypothesis, under which it must do no harm. Samples with a setpoint step need none but what clear steps
     have shown. None where several records identify nothing, because co does nothing: a valve may stand.
 
-    By loads alone a model counts by which Ms is good so far; where two records agree on it, or a clear step has shown it
-    but a tone moves the loop, one whose Ms is within the odds of the book, too: of a tone's waves steps make a process
-    that swings. Where none agree and these are sure of room, no model is asked.
+    By loads alone a model counts by which Ms is good so far; where two records agree on it, or a clear step has shown
+    it but a tone moves the loop, one whose Ms is within the odds of the book, too: of a tone's waves steps make a
+    process that swings. Where none agree and these are sure of room, no model is asked.
     """
     record, settings = found.record, found.settings
     known, now = record.region_models.get(record.region), record.in_force
