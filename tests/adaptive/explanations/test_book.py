@@ -891,8 +891,9 @@ def test_a_model_on_which_the_loop_is_unstable_is_asked_where_the_odds_have_no_u
 def test_samples_with_a_setpoint_step_ask_no_model_but_a_shown_one_and_of_a_valve_that_stands(
     times: float, tone: float, *, identifiable: bool, shown: bool, changes: bool
 ) -> None:
-    """On 4 K Ms is 1.6 with the gains in force, on 40 K the loop is unstable, on 0.01 K co does next to nothing. Under a
-    tone a first setpoint response was fitted so, and kept a loop at J 7.2 for five more disturbances.
+    """On 4 K Ms is 1.6 with the gains in force, on 40 K the loop is unstable, on 0.01 K co does next to nothing.
+
+    Under a tone a first setpoint response was fitted as unstable, and kept a loop at J 7.2 for five more disturbances.
     """
     assert bool(_follows(2, times, 0.8, shown=shown, identifiable=identifiable, tone=tone)) is changes
 
