@@ -15,6 +15,7 @@ from retuner.schedule.late_dataclass import dataclass
 
 FloatArray = npt.NDArray[np.float64]
 
+EVERYWHERE = (-math.inf, math.inf)  # ends of a range that are not known
 LARGEST = 1e30  # largest magnitude of a number; the squares of larger ones leave the range of double precision in a fit
 
 

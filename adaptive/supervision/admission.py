@@ -22,12 +22,11 @@ from retuner.adaptive.declared_setting import require_in_range, setting
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.signals.recogniser import SWINGS_ON
 from retuner.adaptive.signals.response import Response
-from retuner.adaptive.signals.sample import LoopMode, LoopSample, Window, stood_still
+from retuner.adaptive.signals.sample import EVERYWHERE, LoopMode, LoopSample, Window, stood_still
 from retuner.schedule.late_dataclass import dataclass, replace
 from retuner.schedule.plain_values import plain_values
 from retuner.schedule.regions import Regions
 
-EVERYWHERE = (-math.inf, math.inf)
 RANGE_ROOM = 0.1
 """Share of the transmitter's range by which pv may stand outside of it: ranges are rounded, sensors reach further."""
 JUMPS = 0.5  # largest share of its span that pv passes from one sample to the next in a swing: a fault does so at once

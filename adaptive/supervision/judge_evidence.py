@@ -1,5 +1,6 @@
 """What the judge is shown of gains on trial: what they were predicted to do, what was seen, what is known by then."""
 
+import math
 from collections.abc import Sequence
 from itertools import islice
 
@@ -74,7 +75,11 @@ def prediction_of(
     if not moved and last is not None and last.prediction is not None and last.new == in_force:
         moved = last.prediction.moved
     cut = abs(new.kp) < abs(in_force.kp) or abs(new.ki) < abs(in_force.ki)  # else a swing passes for a load's
-    return replace(prediction, wander=0.0 if swung else wander, moved=0.0 if swung and cut else moved)
+    own = (abs(one.sp - one.pv) for one in samples if one.revision == samples[-1].revision)
+    furthest = max(own, default=math.inf)
+    return replace(
+        prediction, wander=0.0 if swung else wander, moved=0.0 if swung and cut else moved, furthest=furthest
+    )
 
 
 def prediction_of_proof(found: Findings, proof: Proof) -> Prediction | None:

@@ -95,8 +95,9 @@ class Retuner:
         self._finder = ResponseFinder(table.regions, self._gains_at, settings)
         self._observe = self._finder.step
         self.trials = TrialSupervisor(
-            settings.trial, settings.sample_time_s, self._into_table, self._still_allowed, self._person_decides
-        )
+            settings.trial, settings.sample_time_s, self._into_table, self._still_allowed, self._person_decides,
+            settings.pv_range,
+        )  # fmt: skip
         self._decisions, self._led = 0, SetpointLed()
         self._looked_s = self._alone_s = -math.inf  # when all samples were looked at, and are to be without a response
         self._open: OpenQuestion | None = None

@@ -15,7 +15,8 @@ from retuner.adaptive.identification.structure_choice import ON_LINE
 from retuner.adaptive.region_model.from_neighbours import BorrowingSettings
 from retuner.adaptive.region_model.update import TrackerSettings
 from retuner.adaptive.signals.growth import GrowthSettings
-from retuner.adaptive.supervision.admission import EVERYWHERE, AdmissionSettings
+from retuner.adaptive.signals.sample import EVERYWHERE
+from retuner.adaptive.supervision.admission import AdmissionSettings
 from retuner.adaptive.supervision.decision import Mode
 from retuner.adaptive.trial.trial_settings import TrialSettings
 from retuner.adaptive.without_model.proposal_without_model import WithoutModelSettings

@@ -7,6 +7,7 @@ before the change; r is the ratio of one's extreme to the last one's.
                                                  have reached its extreme)
     r >= stays, stays_for in a row     RUNAWAY   a swing that does not die out
     limit to limit, limit_swings times RUNAWAY   the output goes back and forth between its limits
+    pv at an end of its range, twice   RUNAWAY   in two half waves, further off than ever under the set before
     at one limit for limited_s         SATURATED the trial shows nothing of the gains
 
 A half wave that was under way when the trial began may have had its extreme before: nothing is measured against it.
@@ -22,7 +23,7 @@ sample.
 import math
 from typing import NamedTuple
 
-from retuner.adaptive.signals.sample import LoopSample
+from retuner.adaptive.signals.sample import EVERYWHERE, LoopSample
 from retuner.adaptive.trial.phase import TrialEvent
 from retuner.adaptive.trial.prediction import Prediction
 from retuner.adaptive.trial.trial_settings import TrialSettings
@@ -30,11 +31,13 @@ from retuner.adaptive.trial.trial_settings import TrialSettings
 SEEN_BANDS = 2.0  # A half wave counts from this many noise bands
 MOVED = 0.25  # A setpoint change below this share of the swing under way does not make a half wave of it
 MOST_GROWTH = 2.0  # growth per half wave from which a loop runs away whatever was before
-TWICE = 2  # growing half waves after the first that make the trial a diverging one
+TWICE = 2  # growing half waves after the first, or such at an end of pv's range, that make the trial a diverging one
 
 
 class DivergenceLimits(NamedTuple):
-    """Thresholds (see the head of this file); limited_s in seconds, least in pv units."""
+    """Thresholds (see the head of this file); limited_s in seconds, others in pv units. least : of a half wave that
+    counts. furthest : error under the set before. low, high : ends of pv's range.
+    """
 
     grows: float
     stays: float
@@ -42,6 +45,9 @@ class DivergenceLimits(NamedTuple):
     limit_swings: int
     limited_s: float
     least: float = 0.0
+    furthest: float = math.inf
+    low: float = -math.inf
+    high: float = math.inf
 
 
 class DivergenceState(NamedTuple):
@@ -49,7 +55,7 @@ class DivergenceState(NamedTuple):
     how many have grown and stayed in a row; last limit touched (-1, 0, 1), swings between limits, and since when the
     output stands at one (infinite when it does not); since when the half wave under way lasts, and since when the error
     is back in its band (infinite when it is not). joined : the half wave under way began before the watch. held : the
-    output stood at a limit in it.
+    output stood at a limit in it. ends : half waves in which pv went to an end of its range; at_end : this one.
     """
 
     sp: float
@@ -64,10 +70,14 @@ class DivergenceState(NamedTuple):
     inside_s: float = math.inf
     joined: bool = False
     held: bool = False
+    ends: int = 0
+    at_end: bool = False
 
 
-def law_of(prediction: Prediction, settings: TrialSettings, shortest_s: float) -> DivergenceLimits:
-    """The thresholds for one trial. shortest_s : least time at a limit that counts, s."""
+def law_of(
+    prediction: Prediction, settings: TrialSettings, shortest_s: float, pv_range: tuple[float, float] = EVERYWHERE
+) -> DivergenceLimits:
+    """The thresholds for one trial. shortest_s : least time at a limit that counts, s. pv_range : its ends."""
     high = max(prediction.setpoint.decay.high, prediction.load_step.decay.high) + settings.decay_slack
     before = min(max(prediction.decay_before(setpoint=True), prediction.decay_before(setpoint=False)), MOST_GROWTH)
     least = max(min(high, MOST_GROWTH), before if before > 1 else 0.0)
@@ -79,6 +89,8 @@ def law_of(prediction: Prediction, settings: TrialSettings, shortest_s: float) -
         settings.limit_swings,
         max(settings.limited_settles * patience, shortest_s),
         max(settings.seen_wanders / 2 * prediction.wander, prediction.moved),
+        prediction.furthest,
+        *pv_range,
     )
 
 
@@ -110,12 +122,16 @@ def divergence_step(
     # After a rest, half waves are counted anew
     rest_s, wave_s = sample.t_s - state.inside_s, state.inside_s - state.wave_s
     if rest_s > wave_s:
-        state = state._replace(extreme=0.0, last=0.0, grown=0, stayed=0, joined=False, held=False)
+        state = state._replace(extreme=0.0, last=0.0, grown=0, stayed=0, joined=False, held=False, ends=0, at_end=False)
+    if e * state.extreme < 0:
+        state = state._replace(at_end=False)
+    if not state.at_end and abs(e) > law.furthest and not law.low < sample.pv < law.high:
+        state = state._replace(ends=state.ends + 1, at_end=True)
     state = _follow(law, state._replace(inside_s=math.inf), e, sample.t_s)
     state = state._replace(held=True) if sample.limited and not state.held else state
     grows = state.last != 0 and not state.held and abs(state.extreme) >= law.grows * abs(state.last)
     growing = state.grown + grows
-    runs = growing >= TWICE or state.stayed >= law.stays_for
+    runs = growing >= TWICE or state.stayed >= law.stays_for or state.ends >= TWICE
     return state, TrialEvent.RUNAWAY if runs else None
 
 

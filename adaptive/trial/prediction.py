@@ -95,7 +95,8 @@ class Prediction:
     decay_seen : of the response under the old gains that led to the change, None when it does not tell; what was seen
     counts more than what a model says of the old gains.
     wander, moved : standard deviation of the error under the old gains while nothing happened, and how far it went
-    (load_variability.py), pv units; 0 where it is not known, or where they were seen to swing.
+    (load_variability.py), pv units; 0 where it is not known, or where they were seen to swing. furthest : the largest
+    error under them that is kept, pv units; infinite where it is not known.
     """
 
     setpoint: Expected
@@ -107,6 +108,7 @@ class Prediction:
     ms: Spread | None = None
     wander: float = 0.0
     moved: float = 0.0
+    furthest: float = math.inf
 
     def decay_before(self, setpoint: bool) -> float:
         """Decay under the old gains: as seen, else on the best model."""
@@ -130,7 +132,7 @@ class Prediction:
         """Plain values."""
         names = "setpoint load=load_step setpoint_before load_before models decay_seen"
         spread = {"ms": self.ms.to_list() if self.ms else None}
-        return plain_values(self, names) | spread | plain_values(self, "wander moved")
+        return plain_values(self, names) | spread | plain_values(self, "wander moved furthest")
 
     @classmethod
     def from_dict(cls, body: Mapping[str, Any]) -> "Prediction":
@@ -149,6 +151,7 @@ class Prediction:
             None if ms is None else Spread.from_list(ms),
             float(body.get("wander", 0.0)),
             float(body.get("moved", 0.0)),
+            math.inf if (furthest := body.get("furthest")) is None else float(furthest),
         )
 
 

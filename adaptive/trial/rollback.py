@@ -113,6 +113,7 @@ class SetsThatRan(NamedTuple):
 
     swung : ratio of successive peaks that was seen of the set before, None when nothing was. swings : as seen, else as
     the models said that the change was proved on. lost : these called the set before unstable, and the tried one not.
+    left : under the tried one pv went from its range, and never so far under the set before.
     """
 
     before: PidGains
@@ -121,6 +122,7 @@ class SetsThatRan(NamedTuple):
     swung: float | None = None
     swings: float = 0.0
     lost: bool = False
+    left: bool = False
 
 
 class Rollback(NamedTuple):
@@ -152,7 +154,8 @@ class SetRecord(NamedTuple):
 
 def rollback(cause: TrialEvent, ran: SetsThatRan, known: StillAllowed, settings: TrialSettings) -> Rollback:
     """Which set is to run after a cause that ends trials; see the head of this file."""
-    ran = ran._replace(swung=None) if known.by_loads else ran
+    swung = ran.swung is not None and ran.swung >= SWINGS_ON
+    left, swung = ran.left and not swung, swung and not known.by_loads
     if ran.tried is None or ran.tried == ran.before:
         return Rollback(ran.before, stays=False)
     if cause is TrialEvent.ORDERED_BACK:
@@ -161,14 +164,13 @@ def rollback(cause: TrialEvent, ran: SetsThatRan, known: StillAllowed, settings:
     stays = cause not in ROLLBACK_CAUSES and (known.processes or cause is TrialEvent.TIMED_OUT)
     sets = [ran.tried, ran.before] if stays else [ran.before, ran.tried]
     ms = {gains: known.ms(gains) for gains in (*sets, *ran.earlier)}
-    swung = ran.swung is not None and ran.swung >= SWINGS_ON
     worked = SetRecord(0, ran.swings <= settings.harmless_decay, CHANGED)
     now = SetRecord(cause in ROLLBACK_CAUSES, cause is TrialEvent.TIMED_OUT, BY_LOADS_AFTER.get(cause, BY_LOADS))
     seen = {ran.before: SetRecord(1) if swung else worked, ran.tried: now}
     expected, else_ = expected_losses(ms, known.likely(), seen, settings.harmless_ms)
     shut = {one for one in ms if less_stable(one, ran.tried, known, settings.harmless_ms)}
     shut |= {ran.before} if ran.lost and not known.processes else set()
-    open_to = [gains for gains in ms if gains not in shut]
+    open_to = [ran.before] if left else [gains for gains in ms if gains not in shut]
     runs = sets[0] if sets[0] in open_to else ran.tried
     for other in open_to:
         runs = other if expected[other] < expected[runs] - PRICE else runs

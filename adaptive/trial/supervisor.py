@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
-from retuner.adaptive.signals.sample import LoopMode, LoopSample
+from retuner.adaptive.signals.sample import EVERYWHERE, LoopMode, LoopSample
 from retuner.adaptive.trial.diverging_trial import divergence_begin, divergence_step, law_of
 from retuner.adaptive.trial.judge import JudgedResponse, Judgement, TrialFinding, judge
 from retuner.adaptive.trial.phase import (
@@ -58,7 +58,7 @@ class TrialSupervisor:
     settings : see TrialSettings. sample_time_s : of the controller.
     into_table : puts the set that is to run into the table; called on entering a phase.
     known : what is known of a region's process, when it is to be decided which of its sets runs.
-    asks : whether a person has the next word on a region's trial.
+    asks : whether a person has the next word on a region's trial. pv_range : what the transmitter can say, pv units.
     """
 
     def __init__(
@@ -68,8 +68,9 @@ class TrialSupervisor:
         into_table: Callable[[int, PidGains], None],
         known: Callable[[int], StillAllowed] = lambda _region: NOTHING_KNOWN,
         asks: Callable[[int], bool] = lambda _region: False,
+        pv_range: tuple[float, float] = EVERYWHERE,
     ) -> None:
-        self.settings = settings
+        self.settings, self._pv_range = settings, pv_range
         self._shortest_s = LEAST_SAMPLES * sample_time_s
         self._into_table, self._known, self._asks = into_table, known, asks
         self._trials: dict[int, Trial] = {}
@@ -340,7 +341,7 @@ class TrialSupervisor:
         trial = self.of(at)
         if trial.phase not in {P.TRIAL, P.AWAY} or trial.prediction is None:
             return None
-        law = law_of(trial.prediction, self.settings, self._shortest_s)
+        law = law_of(trial.prediction, self.settings, self._shortest_s, self._pv_range)
         seen, found = divergence_step(law, trial.seen or divergence_begin(sample.sp), sample, band)
         if seen is not trial.seen:
             self._trials[at] = replace(trial, seen=seen)

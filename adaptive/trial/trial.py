@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from retuner.adaptive.trial.diverging_trial import DivergenceState
+from retuner.adaptive.trial.diverging_trial import TWICE, DivergenceState
 from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
 from retuner.adaptive.trial.prediction import Prediction
 from retuner.adaptive.trial.rollback import Rollback, RollbackNumbers, SetsThatRan
@@ -53,7 +53,8 @@ class Trial:
         swung = said.decay_seen if said else None
         swings = max(said.decay_before(setpoint=True), said.decay_before(setpoint=False)) if said else 0.0
         lost = said is not None and said.unstable_before and bool(self.old.ki)  # without ki none comes to rest
-        return SetsThatRan(self.old, self.new if self.ran else None, self.earlier, swung, swings, lost)
+        left = self.seen is not None and self.seen.ends >= TWICE
+        return SetsThatRan(self.old, self.new if self.ran else None, self.earlier, swung, swings, lost, left)
 
     def with_earlier(self, gains: PidGains | None) -> "Trial":
         """The trial with one more set that ran here."""

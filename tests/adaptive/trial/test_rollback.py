@@ -71,7 +71,7 @@ class Bench:
     def __init__(self, phase: TrialPhase, old: PidGains, tried: PidGains, known: StillAllowed) -> None:
         self.ran = phase is not P.WRITING
         self.table = {0: tried if self.ran else old}
-        self.trials = TrialSupervisor(TrialSettings(), 1.0, self.table.__setitem__, lambda _: known)
+        self.trials = TrialSupervisor(TrialSettings(), 1.0, self.table.__setitem__, lambda _: known, pv_range=(-3, 20))
         trial = Trial(phase, old, tried, said(old, tried), self.ran, cause=E.LOST_TELEMETRY)
         self.trials.resume({"at": 0, "trials": {"0": trial.to_dict()}})
 
@@ -284,6 +284,20 @@ def test_what_swung_on_and_is_unstable_on_every_model_does_not_come_back() -> No
     for cause in ROLLBACK_CAUSES:
         assert rollback(cause, grew, StillAllowed((PROCESS,)), TrialSettings()).stays
         assert rollback(cause, worked, StillAllowed((PROCESS,)), TrialSettings()).stays
+
+
+@pytest.mark.parametrize(("furthest", "swung", "back"), [(2.0, None, True), (30.0, None, False), (2.0, 1.1, False)])
+def test_pv_that_leaves_its_range_leads_back_to_a_set_that_kept_it_there_whatever_models_say(
+    furthest: float, swung: float | None, back: bool
+) -> None:
+    """A process that runs away swings far to one side, and no model has an unstable pole: less gain looks safer."""
+    old, tried = SETS["unstable"], SETS["right"]
+    bench = Bench(P.TRIAL, old, tried, StillAllowed((PROCESS,)))
+    promise = replace(said(old, tried), furthest=furthest, decay_seen=swung)
+    bench.trials.resume({"at": 0, "trials": {"0": replace(bench.trials.of(0), prediction=promise).to_dict()}})
+    for i, pv in enumerate([0.0, 1.0, 1.0, -6.0, -6.0, 1.0, 1.0, -6.0, 1.0]):
+        bench.trials.watch(LoopSample(float(i), 0.0, pv, 0.0), 0, 0.1, 1.0, 5.0, blended=False)
+    assert (bench.table[0] == old) is back
 
 
 # One door: whatever is put to it, nothing comes back that is less stable than what runs.
