@@ -39,8 +39,7 @@ from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
 
 MOST_HELD = 0.9  # quantile of the rows for which pv stands still, no shorter than their mean where it is quantised
-FEWEST_RECORD_SAMPLES = 60
-"""Samples of a record that a load that wanders is looked for in."""
+FEWEST_RECORD_SAMPLES = 60  # Samples of a record that a load that wanders is looked for in
 
 
 @dataclass(frozen=True, slots=True)

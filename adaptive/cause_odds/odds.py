@@ -49,8 +49,7 @@ from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
 
-FINAL = 0.9
-"""Confidence from which an unknown without any fit needs none."""
+FINAL = 0.9  # Confidence from which an unknown without any fit needs none
 
 
 @dataclass(frozen=True, slots=True)
@@ -340,8 +339,7 @@ def _lasts(found: RecordVerdict) -> bool:
     return found.diagnosis.evidence.get("regularity", 0.0) > REGULAR
 
 
-REGULAR = 1.0
-"""Regularity (Thornhill et al. 2003) from which an oscillation lasts."""
+REGULAR = 1.0  # Regularity (Thornhill et al. 2003) from which an oscillation lasts.
 
 BEHIND = {Cause.STICTION: "stuck", Cause.EXTERNAL: "external"}
 """The fit that a verdict rests on; the loop by itself for all others."""
@@ -380,8 +378,7 @@ def _weight_of_steps(cause: Cause, found: RecordVerdict, walk: Walk, whole: floa
     return most / (1.0 + math.exp(-min(max(lead - whole, -50.0), 50.0)))
 
 
-HALF = 0.5
-"""Weight of a verdict by stretches, whose fits are not compared."""
+HALF = 0.5  # Weight of a verdict by stretches, whose fits are not compared
 
 
 def _mixed(steps: Mapping[Cause, float], walk: Mapping[Cause, float], weight: float, most: float) -> dict[Cause, float]:
@@ -470,10 +467,8 @@ def _next(
     return replace(test, size=max(test.size, PLAIN * error_std)) if plain else test
 
 
-PLAIN = 4.0
-"""Usual errors of a step that confirms a cause which loads alone seem to show."""
-IN_QUESTION = 0.05
-"""Odds of a valve from which it is asked for."""
+PLAIN = 4.0  # Usual errors of a step that confirms a cause which loads alone seem to show
+IN_QUESTION = 0.05  # Odds of a valve from which it is asked for
 
 
 def _settings(
@@ -530,11 +525,9 @@ def _ms_range(odds: TuningOdds) -> dict[str, float]:
     return {"ms": middle, "ms_low": low, "ms_high": high}
 
 
-MS_SHOWN = 20.0
-"""A larger Ms, and an unstable loop, is told as this."""
+MS_SHOWN = 20.0  # A larger Ms, and an unstable loop, is told as this
 
-OVERSHOOTS, OVERSHOOT = 0.25, "overshoot by"
-"""Overshoot from which it is told with a verdict."""
+OVERSHOOTS, OVERSHOOT = 0.25, "overshoot by"  # Overshoot from which it is told with a verdict
 
 WORDS = {
     Cause.OK: "the tuning is in order",

@@ -33,8 +33,7 @@ from retuner.adaptive.fit.engine import compiled
 from retuner.adaptive.signals.sample import FloatArray
 
 ORDER = 30  # of the autoregression; a window of the book has a hundred samples per integral time
-T_ANSWERS = 4.0
-"""What the log-likelihood is divided by before it counts, as T_SETPOINT is for a walk; 3 to 8."""
+T_ANSWERS = 4.0  # What the log-likelihood is divided by before it counts, as T_SETPOINT is for a walk; 3 to 8
 
 
 def log_likelihood_of_answers(record: Prepared, direction: int, gain_unit: float, asked: BoolArray) -> FloatArray:

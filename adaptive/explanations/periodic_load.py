@@ -28,15 +28,12 @@ FEW = (1, 4)  # dead times of co beside single turns
 FEWEST_TURNS, ROUNDS, SHORTEST, LEAST_SHARE = 3, 1.9, 4.0, 0.02
 """Turns to begin with; periods of a record that show one; rows of the shortest; share of it from a turn to the next, at
 least. With 1.2 to 1.7 periods seven of 460 records of a sticking valve had odds for such a load."""
-CLOSER = 4
-"""Lags, loads and dead times that are looked at closely, and starts of each."""
+CLOSER = 4  # Lags, loads and dead times that are looked at closely, and starts of each
 STEPS = (8.0, 3.0, 1.0, 0.3) * 2
 """Rows by which the first turn, the last one and those between are moved as long as that pays."""
-NUMBERS = 7.0
-"""Numbers of such a load: a size, and three times that count twice, as any row may be one."""
+NUMBERS = 7.0  # Numbers of such a load: a size, and three times that count twice, as any row may be one
 TINY = 1e-12
-Turns = tuple[float, float, float]
-"""First turn and period, in rows, and the share of it until the turn back."""
+Turns = tuple[float, float, float]  # First turn and period, in rows, and the share of it until the turn back
 
 
 def log_odds_of_repeating(record: Prepared, direction: int) -> tuple[float, float]:

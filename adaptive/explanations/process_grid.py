@@ -42,8 +42,7 @@ DEAD_TIMES = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 13.0, 17.0
 GAINS = np.logspace(-2.5, 2.5, 61)
 """Loop gains kc K of the grid, a fifth apart; of an integrating process kc K' times INTEGRATING samples."""
 INTEGRATING = 20.0
-FREQUENCIES = np.logspace(math.log10(3e-4), math.log10(math.pi), 90)
-"""Where margins are computed, rad per sample."""
+FREQUENCIES = np.logspace(math.log10(3e-4), math.log10(math.pi), 90)  # Where margins are computed, rad per sample
 HALF_TURN = 1e-9 - math.pi
 """Phase of the stability limit, with the digits that sums of phases lose: a lag that is cancelled ends there."""
 

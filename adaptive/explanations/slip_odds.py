@@ -35,24 +35,19 @@ from retuner.schedule.late_dataclass import replace
 SHOCK_LAGS, SECONDS, LONGEST = (2.0, 6.0, 15.0, 40.0, 120.0, math.inf), (0.0, 0.3), 20.0
 """First lags behind which steps are looked for, samples; second ones as shares of these, or of the longest."""
 BESIDE: Loads = tuple((bandwidth, order) for order in (VALUE, SLOPE) for bandwidth in (0.05, 0.2, 0.8, math.inf))
-STEPPING: Loads = ((0.1, VALUE), (0.8, VALUE))
-"""Bandwidths and orders of loads beside slips and co, and beside steps."""
+STEPPING: Loads = ((0.1, VALUE), (0.8, VALUE))  # Bandwidths and orders of loads beside slips and co, and beside steps
 MOST_STEPS, STEP_PRICE, LEAST_PRICE = 40, 5.0, 3.0
 """Steps at the most, the price of one that is a start only, and of one in the bound on slips. The bound is found by
 trial: of 35 valves that were told, 34 have free steps at 3 each that are likelier than co itself by 15 or more, and one
 has as many as are looked for."""
 STARTS, POLISHED, ROUNDS = 12, 2, 3
 """Sets of steps that are tried as slips, those that are moved about, and how often at the most."""
-LATE = (0, 1, 2, 4, 7, 12, 20)
-"""Samples between a slip and the step that it makes, or the turn of co."""
-SHARES = (0.0, 0.15, 0.3, 0.45, 0.6, 0.75)
-"""r tried; every third at first."""
-MOVES = (-12, -4, -1, 1, 4, 12)
-"""Rows by which a slip is moved."""
+LATE = (0, 1, 2, 4, 7, 12, 20)  # Samples between a slip and the step that it makes, or the turn of co
+SHARES = (0.0, 0.15, 0.3, 0.45, 0.6, 0.75)  # r tried; every third at first
+MOVES = (-12, -4, -1, 1, 4, 12)  # Rows by which a slip is moved
 TRIED, PLACES, FEWEST, MOST_TURNS = 25, 7, 2, 40
 """Rows at which one more slip is tried; places where the valve may stand first; slips that make a law; turns of co."""
-MOST_ROWS = 512
-"""Rows in which a record is looked at."""
+MOST_ROWS = 512  # Rows in which a record is looked at
 OWN_NUMBERS = 4
 """Numbers of such a valve, at half of ln n each: middle and scatter of the bands, r, and where it stands first."""
 EVEN, LEAST = 0.05, 1e-9

@@ -29,8 +29,7 @@ FEWEST_PERIODS, FEWEST_SAMPLES = 1.5, 6
 """Fewest periods of a tone within a window, and samples to a period: others are how a load wanders, or noise."""
 TRACKED = 2.0
 """Periods over which the phase of a drifting tone is a mean; the periods of other loops' cycles are not all alike."""
-HARMONICS, FEWEST_OF_HARMONIC = 4, 4
-"""Up to which a tone has harmonics, and samples to a period of one."""
+HARMONICS, FEWEST_OF_HARMONIC = 4, 4  # Up to which a tone has harmonics, and samples to a period of one
 STANDS_OUT = 1.0  # logarithm of a harmonic's height over the lines half way to its neighbours from which it is there
 FINER = 16  # times that lines are looked at closer than those of a Fourier series lie
 AROUND, LEAST = 4, 1e-9

@@ -68,8 +68,7 @@ the grid, and likeliest valves of each kind that have one."""
 IN_QUESTION = -1.0
 """ln Bayes factor from which a valve is compared more closely: on the grid, and beside the nearest linear loop. Not
 where the grid speaks against one: behind a lag of half a sample any dead time fits, and co gains by that as well."""
-STARTS = (-1.0, -0.5, 0.0, 0.5, 1.0)
-"""Where a valve that another record shows may stand first."""
+STARTS = (-1.0, -0.5, 0.0, 0.5, 1.0)  # Where a valve that another record shows may stand first
 LAGS = (1.0, 3.0, 7.0, 15.0, 33.0, 80.0, math.inf)
 LATEST = 40.0  # dead time, samples: a slip that comes later than so is as likely to meet a jump of the load by chance
 DEAD_TIMES = tuple(one for one in OF_GRID if one <= LATEST)

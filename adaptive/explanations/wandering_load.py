@@ -71,16 +71,13 @@ BEHIND_LAGS = (*((one, VALUE) for one in FINE), *((one, SLOPE) for one in BANDWI
 LOADS_OF_BOOK = (*BEHIND_LAGS, *((bandwidth, AT_PV) for bandwidth in BANDWIDTHS[1:]))
 """Loads that the book has for every process, and all that it has for those that do not run away by themselves."""
 NO_TONES = np.zeros((0, 0))
-ORDERS = (VALUE, SLOPE, AT_PV)
-"""As they stand in the loads of the book."""
-TEMPER = 6.0
-"""What the logarithm of a likelihood is divided by as it is computed."""
+ORDERS = (VALUE, SLOPE, AT_PV)  # As they stand in the loads of the book
+TEMPER = 6.0  # What the logarithm of a likelihood is divided by as it is computed
 T_LOADS, T_SETPOINT = 8.0, 3.5
 """What it should be divided by: where loads alone move a record, and where a setpoint alone does; 3 to 30. Of 270 loops
 without a valve (benchmarks/world, seeds 12401 to 12404) with 11 for loads, tunings that were told at 85 % and more were
 right in 90 of 90, which is too little told; the log score is best from 5 to 7."""
-LEAST_NOISE = 1e-3
-"""Share of pv's standard deviation below which no noise of a record is believed."""
+LEAST_NOISE = 1e-3  # Share of pv's standard deviation below which no noise of a record is believed
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,8 +14,7 @@ from types import ModuleType
 
 VARIABLE = "RETUNER_ENGINE"
 CHOICES = ("auto", "c", "numpy")
-COMPILED_VERSION = "16"
-"""Version of the compiled engine that belongs to this package."""
+COMPILED_VERSION = "16"  # Version of the compiled engine that belongs to this package
 
 _preferred = ["auto"]
 _within: ContextVar[str | None] = ContextVar("engine", default=None)

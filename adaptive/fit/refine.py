@@ -34,8 +34,7 @@ TIME_STRIDE = 0.1  # longest step of a load time, in record lengths
 DAMPING = 1e-2  # first lambda
 LESS, MORE = 0.2, 5.0  # factors on lambda after a step that helped, and one that did not
 MOST_DAMPING = 1e8
-LEAST_DECREASE = 1e-5
-"""A relative decrease below this, twice, is the end of a fit that is only compared with others."""
+LEAST_DECREASE = 1e-5  # A relative decrease below this, twice, is the end of a fit that is only compared with others
 EXACT = 1e-10  # accuracy of fits whose estimate is used
 SMALLEST_STEP = 1e-9  # smallest step, in units of the longest one
 

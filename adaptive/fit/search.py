@@ -26,8 +26,7 @@ from retuner.schedule.late_dataclass import dataclass, replace
 
 LAG_NODES = 9
 THETA_NODES = 9
-LOAD_NODES = 48
-"""Candidates for lag, dead time and the time of a load step."""
+LOAD_NODES = 48  # Candidates for lag, dead time and the time of a load step
 SOON = (0.2, 0.45)  # further candidates for that time before the first of them, as shares of it
 MOST_ROWS = 400  # the search looks at no more samples than this; the refinement uses all
 LAG_RANGE = (1.5, 3.0)  # lags searched: from this many sampling intervals to this many record lengths

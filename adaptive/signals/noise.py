@@ -22,8 +22,7 @@ from retuner.adaptive.signals.sample import FloatArray, LoopSample, kept_of_sign
 
 MEDIAN_TO_SIGMA = 1.4826 / math.sqrt(6.0)
 QUANTUM_TO_SIGMA = 1.0 / math.sqrt(12.0)
-LAGS = 10
-"""Lags that must fit into a stretch for its noise to be told at that lag."""
+LAGS = 10  # Lags that must fit into a stretch for its noise to be told at that lag
 COLOURED = 1.25  # ratio from which noise is no longer taken for white: estimates of white noise scatter by a tenth
 FEW_LEVELS = 0.5
 """A signal with more different values than this share of its samples is not quantised in any way that matters."""

@@ -211,8 +211,7 @@ def least_squares(columns: FloatArray, y: FloatArray) -> FloatArray:
 
 ROWS_AT_ONCE = 256
 Found = TypeVar("Found")
-MOST_KEPT = 8192
-"""Samples of a signal of which something is kept."""
+MOST_KEPT = 8192  # Samples of a signal of which something is kept
 
 
 def kept_of_signal(work: Callable[[FloatArray], Found]) -> Callable[[FloatArray], Found]:

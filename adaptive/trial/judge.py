@@ -43,13 +43,11 @@ from retuner.schedule.late_dataclass import dataclass
 from retuner.schedule.plain_values import plain_values
 
 NOT_ITSELF = "the response itself is not judged"
-MEAN_OF_NOISE = 0.8
-"""Mean of |n| over the standard deviation of normal noise n."""
+MEAN_OF_NOISE = 0.8  # Mean of |n| over the standard deviation of normal noise n
 NOISE_RISES = 4.0  # standard deviations in a noise band by default: a band that the user set counts as so many as well
 WORSE_WORDS = "worse than predicted: "
 STAYS = 1.0  # decay up to which a second load makes a second peak
-LIMITED = 0.05
-"""Share of limited samples from which the IAE is not the tuning's alone."""
+LIMITED = 0.05  # Share of limited samples from which the IAE is not the tuning's alone
 
 
 class TrialFinding(StrEnum):

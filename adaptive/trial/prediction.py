@@ -24,8 +24,7 @@ from retuner.schedule.plain_values import plain_values
 MOST_MODELS = 16  # Models, the most likely ones, over which a promise is spread
 UPSETS = (Upset(setpoint=1.0), Upset(load_step=1.0), Upset(pulse=1.0))
 NAMES = ("overshoot", "damping", "decay", "iae", "travel", "settle_s")
-MOST_DECAY = 0.95
-"""A promise that rests on a response alone never promises less than this."""
+MOST_DECAY = 0.95  # A promise that rests on a response alone never promises less than this
 SWINGS = 2.0
 """IAE over integrated error of a load's response that swings, for a promise without a model (1 where it does not)."""
 

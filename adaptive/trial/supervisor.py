@@ -35,8 +35,7 @@ from retuner.adaptive.trial.trial_settings import TrialSettings
 from retuner.schedule.gains import PidGains
 
 P, E = TrialPhase, TrialEvent
-LEAST_SAMPLES = 60
-"""Cool-downs and times at a limit last at least so many samples."""
+LEAST_SAMPLES = 60  # Cool-downs and times at a limit last at least so many samples
 FINDINGS = {
     TrialFinding.BETTER: E.GOOD,
     TrialFinding.AS_PROMISED: E.AS_PROMISED,
@@ -45,8 +44,7 @@ FINDINGS = {
 }
 KEPT = (E.GOOD, E.AS_PROMISED)
 WITH_GAINS = (E.PROPOSED, E.URGENT, E.ORDERED, E.WRITTEN, E.OPERATOR_EDIT)
-DECIDED = (E.STAYS, E.ENSURED)
-"""What may be decided instead of ending a trial."""
+DECIDED = (E.STAYS, E.ENSURED)  # What may be decided instead of ending a trial
 AFTER_SILENCE = {P.RESTORING: "are rolled back", P.WAITING: "stay, awaiting operator approval"}
 """What becomes of a trial that no response decided; else its gains stay."""
 MOST_EDITS = 6  # doublings of the time for which a person's gains are held

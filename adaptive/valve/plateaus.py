@@ -25,11 +25,9 @@ from retuner.schedule.late_dataclass import dataclass
 LAGS = (0.0, 3.0, 8.0, 20.0, 45.0, 100.0)  # T tried at first, in rows
 HALVINGS = 2  # times that T is looked for halfway to its neighbours
 MOST_JUMPS = 16
-LEAST_SIGMA = 0.004
-"""Noise is at least this share of pv's range."""
+LEAST_SIGMA = 0.004  # Noise is at least this share of pv's range
 MEDIAN_TO_SIGMA = 1.4826
-LEAST_NEW_SHARE = 1e-6
-"""A column of which less than this share is not explained by the others is no further jump."""
+LEAST_NEW_SHARE = 1e-6  # A column of which less than this share is not explained by the others is no further jump
 MOVED_PASSES = 2  # times that every jump is moved to its best row
 MOVED_ROWS = 12  # how far, in rows
 LEVEL = 0.12  # levels closer than this share of the fit's range are one plateau

@@ -57,8 +57,7 @@ THETAS = (0.1, 0.35, 0.7, 1.1)  # dead times tried, in the same unit
 LINEAR = 3
 """Linear explanations that tell how fast the process is; of the first two the processes are tried as they are."""
 OWN, OWN_VALLEYS = 2, 4
-VALVE_UNKNOWNS = 3
-"""Band, jump, and where the valve stood."""
+VALVE_UNKNOWNS = 3  # Band, jump, and where the valve stood
 LOADS_BESIDE = 1  # loads that it may need where the linear explanation needs fewer
 MOST_SEARCH_ROUNDS = 3  # rounds of search and refinement of the valve
 LEAST_FALL = 0.5  # A round must lower the criterion by this

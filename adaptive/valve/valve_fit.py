@@ -26,8 +26,7 @@ from retuner.adaptive.valve.valve_model import Family, StuckValve
 from retuner.schedule.late_dataclass import dataclass, replace
 
 STICK_NODES = 45
-STICK_RANGE = (0.1, 1.2)
-"""Stick bands tried, as shares of the usual travel of co within a period."""
+STICK_RANGE = (0.1, 1.2)  # Stick bands tried, as shares of the usual travel of co within a period
 JUMP_SHARES = {Family.KANO: (0.0, 0.3, 0.6, 0.9, 1.2), Family.HE: (0.3, 0.6, 0.95)}
 """Slip jumps tried, as shares of the stick band."""
 LAGS_PER_PERIOD = ((0.02, 0.0), (0.1, 0.0), (0.1, 0.05), (0.4, 0.03), (1.5, 0.03), (20.0, 0.03))

@@ -42,10 +42,8 @@ from retuner.schedule.gains import PidGains
 
 __all__ = ["KINDS", "line", "run", "table"]
 KINDS = ("coloured", "motion", "gain", "delay", "drift")
-UPSETS = 6
-"""Disturbances that are judged, after the start or the change."""
-SETTLED = 3
-"""Disturbances before a sudden change."""
+UPSETS = 6  # Disturbances that are judged, after the start or the change
+SETTLED = 3  # Disturbances before a sudden change
 DRIFTING = 18
 FACTOR = 2.0
 

@@ -22,16 +22,14 @@ from cases.plant import HeldPlant, log_uniform, robustness
 
 from online.judge import MS_LIMIT, MS_OVER_BEST, Judgement
 from online.runner import Task
-from retuner import PidController, PidGains
-from retuner.adaptive.process.model import LinearProcess
+from retuner import LinearProcess, PidController, PidGains
 from retuner.adaptive.process.reduction import half_rule
 from retuner.adaptive.rules.rule import ControllerKind
 from retuner.adaptive.rules.simc import simc
 
 Row = dict[str, Any]
 KINDS = ("pid",)
-STARTS = ((0.25, 0.5, 2.0, 3.0), (0.5, 1.0, 2.0, 4.0), (0.5, 1.0, 2.0))
-"""Factors on Kc, tau_I and tau_D."""
+STARTS = ((0.25, 0.5, 2.0, 3.0), (0.5, 1.0, 2.0, 4.0), (0.5, 1.0, 2.0))  # Factors on Kc, tau_I and tau_D
 UPSETS, SAMPLES_PER_THETA, FILTER, NOISE, LENGTH = 6, 6, 0.1, 0.01, 40.0
 J_LIMIT, SP0, STEP, PV_SPAN, CO_SPAN = 1.25, 50.0, 1.0, 10.0, 1e4
 

@@ -42,8 +42,7 @@ MOST_SAMPLES = 12000
 CYCLES, STEPS = 40, 24
 SELF_REGULATING = tuple(x for x in FAMILIES if x not in INTEGRATING)
 TRIES = 200
-SPAN_OVER_SWING = 20.0
-"""Range of pv over the size of what happens in a loop."""
+SPAN_OVER_SWING = 20.0  # Range of pv over the size of what happens in a loop
 
 
 @dataclass(slots=True)

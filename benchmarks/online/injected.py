@@ -40,14 +40,12 @@ from online.judge import Judge
 from online.loads import PERIODS, load_of
 from online.loop import FixedGains, LostLoop, WatchedLoop, Watching, one_region, settings
 from online.runner import Task
+from retuner import LinearProcess, LoopSample, PidGains, ProcessModel
 from retuner.adaptive.identification.plausible import Plausible
-from retuner.adaptive.process.model import LinearProcess, ProcessModel
 from retuner.adaptive.process.reduction import half_rule
-from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.trial.load_variability import load_variability
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.prediction import predict
-from retuner.schedule.gains import PidGains
 
 Row = dict[str, Any]
 KINDS = ("gain", "integral", "both", "sluggish", "mild", "right")
@@ -57,13 +55,10 @@ LENGTH_THETA = 60.0
 SAMPLES_PER_THETA = 8
 NOISE = 0.01
 PV_SPAN = 10.0
-AT_REST = 20
-"""Samples from the write to the first step."""
+AT_REST = 20  # Samples from the write to the first step
 TRIES = 100
-INEXACT = 1.3
-"""Factor by which the model of a right set may be off."""
-LOST = 100.0
-"""A loop further from its setpoint than this many steps has been lost."""
+INEXACT = 1.3  # Factor by which the model of a right set may be off
+LOST = 100.0  # A loop further from its setpoint than this many steps has been lost
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,11 +33,7 @@ from online.judge import Judge
 from online.loop import WRITTEN, Watching, one_region, settings
 from online.runner import Task
 from online.session import LENGTH_THETA, Row, Session, by_kind, effects, in_words, line, noise_of
-from retuner.adaptive.signals.sample import LoopMode, LoopSample
-from retuner.adaptive.supervision.decision import Action
-from retuner.adaptive.supervision.state_file import remember, restore
-from retuner.adaptive.trial.phase import TrialEvent
-from retuner.schedule.gains import PidGains
+from retuner import Action, LoopMode, LoopSample, PidGains, TrialEvent, remember, restore
 
 __all__ = ["KINDS", "line", "run", "table"]
 KINDS = ("rare", "slow", "manual", "gap", "end", "telemetry", "restart", "frozen", "limit", "memory")
@@ -49,8 +45,7 @@ UNSEEN = {"gap": 20, "end": 20, "telemetry": 40}
 IN_MANUAL = 20
 FROZEN, PUSHED = (20, 400), (20, 100)
 """Samples for which a sensor stands still, and for which a load is beyond the output's range."""
-DIES_EVERY = 150
-"""Samples between two ends of a session, in the mean."""
+DIES_EVERY = 150  # Samples between two ends of a session, in the mean
 ROOM, BEYOND = 5.0, 8.0
 """Room of the output about its resting point, over what holds the setpoint's step; and size of the load beyond it."""
 EVIDENCE = frozenset({"undo_worse", "undo_runaway"})

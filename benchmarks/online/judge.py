@@ -14,10 +14,9 @@ from cases.loop import Controller, Upsets, iae, run
 from cases.plant import robustness
 from scipy.stats import beta
 
-from retuner.adaptive.process.model import LinearProcess
+from retuner import LinearProcess, PidGains
 from retuner.adaptive.process.reduction import half_rule
 from retuner.adaptive.rules.simc import simc
-from retuner.schedule.gains import PidGains
 
 MS_LIMIT, MS_OVER_BEST, J_LIMIT = 1.8, 1.03, 1.25
 HORIZON_THETA, HORIZON_RESET = 60.0, 8.0
@@ -109,8 +108,7 @@ class Effect:
         return self.ms_worse or self.iae_worse
 
 
-NOTICED = 1.01
-"""Growth by less than this factor is no harm."""
+NOTICED = 1.01  # Growth by less than this factor is no harm
 
 
 def effect(judge: Judge, t_s: float, before: PidGains, after: PidGains, *, restored: bool = False) -> Effect:

@@ -47,10 +47,8 @@ from retuner.adaptive.signals.sample import LoopMode, LoopSample
 
 __all__ = ["KINDS", "line", "load_of", "run", "table"]
 KINDS = ("steps", "pulses", "ramps", "walk", "sinusoid", "coloured", "quiet", "calm walk", "calm coloured")
-WANDERING = ("walk", "coloured", "sinusoid", "calm walk", "calm coloured")
-"""Kinds that never rest."""
-CALM = 0.05
-"""Size of a calm load over that of the same load otherwise."""
+WANDERING = ("walk", "coloured", "sinusoid", "calm walk", "calm coloured")  # Kinds that never rest
+CALM = 0.05  # Size of a calm load over that of the same load otherwise
 PERIODS = 6
 
 

@@ -9,18 +9,12 @@ from typing import Protocol
 
 from cases.loop import FAR, Sensor, Valve
 
+from retuner import Action, Decision, GainTable, Lookup, LoopMode, LoopSample, Mode, PidGains, Retuner, RetunerSettings
 from retuner.adaptive.guard import GuardSettings
-from retuner.adaptive.signals.sample import LoopMode, LoopSample
-from retuner.adaptive.supervision.decision import Action, Decision, Mode
-from retuner.adaptive.supervision.retuner import Retuner
-from retuner.adaptive.supervision.retuner_settings import RetunerSettings
-from retuner.schedule.gains import PidGains
 from retuner.schedule.pid import LIMITED, PidState, change, law, start, step
 from retuner.schedule.regions import Regions, RegionState, choose, enter
-from retuner.schedule.table import GainTable, Lookup
 
-LOST = 1e4
-"""A loop whose pv is further from rest than this many setpoint steps has been lost."""
+LOST = 1e4  # A loop whose pv is further from rest than this many setpoint steps has been lost
 
 
 class Moved(Protocol):
@@ -153,10 +147,8 @@ class WatchedLoop:
 
 # ---- Who watches a loop in the comparison: retuner itself; see rivals.py for the others
 
-WRITTEN = frozenset({Action.WRITE, Action.RESTORE})
-"""Actions after which gains are written."""
-OPENED = 8.0
-"""Factor to which a change, and the sum of all changes, is held where the limits are opened."""
+WRITTEN = frozenset({Action.WRITE, Action.RESTORE})  # Actions after which gains are written
+OPENED = 8.0  # Factor to which a change, and the sum of all changes, is held where the limits are opened
 
 
 def guard_settings(*, opened: bool) -> GuardSettings:

@@ -24,9 +24,8 @@ from online.judge import Judge
 from online.runner import Task
 from online.session import Row, Session, by_kind, noise_of
 from online.session import line as session_line
+from retuner import Decision, PidGains
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES
-from retuner.adaptive.supervision.decision import Decision
-from retuner.schedule.gains import PidGains
 
 KINDS = ("damped", "growing", "limits")
 DANGER = 3.0

@@ -22,8 +22,7 @@ from online.rivals import PatternAlone, relay_then_ziegler_nichols, step_then_si
 from online.session import LOST, PV_SPAN, Row
 from retuner.schedule.gains import PidGains
 
-PRINTED = PidGains(1.0, 0.1, 0.05)
-"""The gains in the example of simple-pid's README."""
+PRINTED = PidGains(1.0, 0.1, 0.05)  # The gains in the example of simple-pid's README
 FIRST, FACTOR, MOST_TURNS = 0.01, 1.5, 24
 """Turning a knob by hand: from this on, up by a factor each time, so often at most."""
 TRIAL_THETA, SWING, OVERSHOOT = 60.0, 0.3, 0.1

@@ -25,8 +25,7 @@ from world.draw import piece, real_loops
 
 from online.judge import Judge, Judgement, effect
 from online.runner import Task
-from retuner import PidController, PidGains
-from retuner.adaptive.process.model import LinearProcess
+from retuner import LinearProcess, PidController, PidGains
 
 Row = dict[str, Any]
 STARTS = {"good": (1.0, 1.0), "weak": (0.25, 1.0), "tight": (2.5, 1.0), "slow": (0.25, 4.0)}

@@ -11,23 +11,18 @@ import numpy as np
 from cases.plant import later
 
 from online.loop import Moved
+from retuner import GainTable, LinearProcess, PidGains, RetunerSettings
 from retuner.adaptive.experiments.relay import relay_cycle
 from retuner.adaptive.identification.identify import OPEN_LOOP, identify_window
 from retuner.adaptive.loop.margins import ultimate
-from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.adaptive.supervision.response_finder import Completed, ResponseFinder
-from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.without_model.pattern_rule import PatternSettings, pattern_rule
-from retuner.schedule.gains import PidGains
-from retuner.schedule.table import GainTable
 
-WAVES = 12
-"""Periods of the relay experiment."""
+WAVES = 12  # Periods of the relay experiment
 HYSTERESIS_STD = 3.0
-KU_PART, PU_PART = 0.45, 1.2
-"""Ziegler & Nichols (1942), PI: Kc = 0.45 Ku, tau_I = Pu / 1.2."""
+KU_PART, PU_PART = 0.45, 1.2  # Ziegler & Nichols (1942), PI: Kc = 0.45 Ku, tau_I = Pu / 1.2
 STEP_LAGS, STEP_THETA, MOST_THETA = 5.0, 10.0, 60.0
 """Length of the step experiment: so many lags and dead times, and at most so many dead times."""
 

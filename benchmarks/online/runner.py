@@ -15,8 +15,7 @@ from cases.case import spread
 Row = dict[str, Any]
 T = TypeVar("T")
 PLACES = 42  # of a tour
-REPORTS = 10
-"""Lines of progress where standard error is no terminal."""
+REPORTS = 10  # Lines of progress where standard error is no terminal
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,19 +17,16 @@ from cases.setting import Loop, draw_loop, scaled
 from online.judge import Effect, Judge, Judgement, effect
 from online.loop import LostLoop, Moved, WatchedLoop, Watching, one_region, settings
 from online.runner import Task
-from retuner.adaptive.supervision.decision import Action, Decision
-from retuner.schedule.gains import PidGains
+from retuner import Action, Decision, PidGains
 
 Row = dict[str, Any]
 STARTS = tuple((kc, tau_i) for kc in (4.0, 0.25, 2.0) for tau_i in (4.0, 0.25, 1.0))
 """Factors on Kc and tau_I of the right settings at the start."""
 SAMPLES_PER_THETA, LENGTH_THETA, REST_SAMPLES = 8, 60.0, 60
 """Samples in an effective dead time, dead times from one upset to the next, samples before the first."""
-NOISE, PV_SPAN = 0.01, 10.0
-"""Of a setpoint step of one."""
+NOISE, PV_SPAN = 0.01, 10.0  # Of a setpoint step of one
 LOST = Judgement(math.inf, math.inf, in_spec=False)
-AFTER = (1, 3, 6)
-"""Upsets after which loops in spec are counted."""
+AFTER = (1, 3, 6)  # Upsets after which loops in spec are counted
 
 
 def noise_of(rng: np.random.Generator, n: int, size: float = NOISE) -> list[float]:

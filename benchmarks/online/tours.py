@@ -32,10 +32,8 @@ from schedules.subject import Live, Subject
 from online.judge import Judge, effect
 from online.loop import FixedGains, LostLoop, Supervisor, WatchedLoop, Watching, settings
 from online.runner import Task
+from retuner import GainTable, Lookup, PidGains, Regions
 from retuner.adaptive.guard import GuardSettings
-from retuner.schedule.gains import PidGains
-from retuner.schedule.regions import Regions
-from retuner.schedule.table import GainTable, Lookup
 
 Row = dict[str, Any]
 WHO = ("fixed", "retuner", "perfect")
@@ -44,8 +42,7 @@ DRAWN = (SMOOTH, "constant")
 KINDS = (*DRAWN, "tank", "ph", "reactor", "drive", "oven")
 REGIONS = 4
 HOLD_THETA, MOST_SAMPLES = 80.0, 2500
-NEAREST, FARTHEST = 0.04, 0.3
-"""Size of a step, in shares of the range."""
+NEAREST, FARTHEST = 0.04, 0.3  # Size of a step, in shares of the range
 VISITS = 4
 PROBES = 17
 EASED = (1.0, 0.97, 0.94, 0.9, 0.85, 0.8, 0.75, 0.7)

@@ -14,8 +14,7 @@ from dataclasses import dataclass
 from retuner.adaptive.process.model import LinearProcess
 
 SUBSTEPS = 4
-MOST_DELAY = 4096
-"""Substeps of dead time that are remembered."""
+MOST_DELAY = 4096  # Substeps of dead time that are remembered
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pi_loop import Lag, pi_loop
 from test_beside_a_load import recorded
 
-from retuner import api, diagnosing
+from retuner import PidGains, api, diagnosing
 from retuner.adaptive.controller_settings.read_off import settings_in_force
 from retuner.adaptive.controller_settings.summed_law import rough_law, summed_law
 from retuner.adaptive.diagnosis.cause import Cause
@@ -21,7 +21,6 @@ from retuner.adaptive.diagnosis.sticking_valve import pv_stands, pv_stands_verdi
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.valve.plateaus import _Responses, as_steps, plateaus, rough_sigma
 from retuner.adaptive.valve.stand_still import Leg, StandStill, StandStillSettings, _agreed, _ends, stand_still
-from retuner.schedule.gains import PidGains
 
 GAINS = PidGains(0.2, 0.2 / 5.0)
 SETTINGS = StandStillSettings()

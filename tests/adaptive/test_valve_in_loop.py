@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 from test_diagnose import loop
 
+from retuner import LinearProcess, PidGains
 from retuner.adaptive.identification.identify import Fits, FitSettings
-from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.valve.record_through_valve import RecordThroughValve, _searched, valve_believed
 from retuner.adaptive.valve.valve_fit import Sticking
 from retuner.adaptive.valve.valve_model import Family, StuckValve
-from retuner.schedule.gains import PidGains
 
 PROCESS = LinearProcess(2.0, (20.0,), theta_s=5.0)
 GAINS = PidGains(1.0, 0.05)

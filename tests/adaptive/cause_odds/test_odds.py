@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from pi_loop import Lag, pi_loop
 
+from retuner import PidGains, ProcessType
 from retuner.adaptive.cause_odds import odds
 from retuner.adaptive.cause_odds.compared_records import windows_of
 from retuner.adaptive.cause_odds.odds import _mixed, diagnose_records
@@ -20,11 +21,9 @@ from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.tuning_verdict import RecordVerdict
 from retuner.adaptive.explanations.valve_odds import WEIGHT
 from retuner.adaptive.explanations.wandering_load import MOST_SAMPLES, Prepared
-from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.signals.sample import Window
 from retuner.diagnosing import diagnose, diagnose_windows
-from retuner.schedule.gains import PidGains
 
 PLANT = Path(__file__).parents[2] / "data" / "plant"
 GAINS = PidGains(1.0, 0.05)

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from retuner import LinearProcess, PidGains
 from retuner.adaptive.explanations.any_load import ORDER, log_likelihood_of_answers
 from retuner.adaptive.explanations.book import Book, update
 from retuner.adaptive.explanations.likely_processes import quantile
@@ -12,9 +13,7 @@ from retuner.adaptive.explanations.process_grid import DEAD_TIMES, EVERY_LAG, GA
 from retuner.adaptive.explanations.wandering_load import Prepared
 from retuner.adaptive.fit import engine
 from retuner.adaptive.loop.margins import sensitivity_peak
-from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import Window
-from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import replace
 
 LAG, LATE, SETTLED = 20.0, 4, 300

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from pi_loop import Lag, pi_loop
 
-from retuner import PidController, PidGains
+from retuner import GainTable, LinearProcess, Lookup, PidController, PidGains, ProcessModel, Regions, TrialEvent
 from retuner.adaptive.choice.expected_cost import ChoiceNumbers
 from retuner.adaptive.decision_numbers import NO_NUMBERS
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
@@ -38,7 +38,6 @@ from retuner.adaptive.explanations.wandering_load import ORDERS
 from retuner.adaptive.guard import GuardSettings
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
-from retuner.adaptive.process.model import LinearProcess, ProcessModel
 from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.signals.sample import FloatArray, LoopSample, Window
 from retuner.adaptive.supervision import by_all_samples, decide, known_processes, retuner
@@ -48,11 +47,8 @@ from retuner.adaptive.supervision.findings import Findings
 from retuner.adaptive.supervision.known_processes import known_of
 from retuner.adaptive.supervision.question import Look, Question
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings, demanded
-from retuner.adaptive.trial.phase import TrialEvent
 from retuner.adaptive.trial.rollback import NOTHING_KNOWN, SetsThatRan, rollback
 from retuner.adaptive.trial.trial import Trial
-from retuner.schedule.regions import Regions
-from retuner.schedule.table import GainTable, Lookup
 
 K, LAG, DEAD = 2.0, 20.0, 4
 GOOD = PidGains(0.5 * LAG / (K * (DEAD + 0.5)), 0.5 * LAG / (K * (DEAD + 0.5)) / LAG)

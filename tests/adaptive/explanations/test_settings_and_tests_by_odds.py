@@ -7,6 +7,7 @@ import pytest
 from drawn_loop import PRIOR, loop_record
 from pi_loop import Lag, pi_loop, slipping
 
+from retuner import LinearProcess, PidGains
 from retuner.adaptive.explanations.deciding_test import deciding_test, valve_test
 from retuner.adaptive.explanations.likely_processes import WorthSettings, harmless
 from retuner.adaptive.explanations.process_grid import (
@@ -26,8 +27,6 @@ from retuner.adaptive.explanations.tuning_odds import TuningLimits, TuningOdds, 
 from retuner.adaptive.explanations.valve_odds import log_odds_of_valve
 from retuner.adaptive.explanations.wandering_load import Prepared, log_likelihood
 from retuner.adaptive.loop.margins import sensitivity_peak
-from retuner.adaptive.process.model import LinearProcess
-from retuner.schedule.gains import PidGains
 
 TRUTH = LinearProcess(1.0, (20.0,), (), 4.5)
 

@@ -8,6 +8,7 @@ from drawn_loop import PRIOR, loop_record
 from effort import sized
 from scipy.optimize import brentq
 
+from retuner import LinearProcess, PidGains
 from retuner.adaptive.explanations.likely_processes import LikelyProcesses
 from retuner.adaptive.explanations.process_grid import (
     DEAD_TIMES,
@@ -38,9 +39,7 @@ from retuner.adaptive.explanations.wandering_load import (
 )
 from retuner.adaptive.fit import engine
 from retuner.adaptive.loop.margins import gain_margin, sensitivity_peak
-from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import FloatArray
-from retuner.schedule.gains import PidGains
 
 
 @pytest.mark.parametrize("lag", [0.03, 3.0, 33.0, math.inf, -16.0])

@@ -7,17 +7,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from retuner import GainTable, LoopSample, PidGains, ProcessModel, ProcessType, Regions, RetunerSettings
 from retuner.adaptive.identification.plausible import Plausible
-from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.simc import simc
-from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.response_finder import Completed, ResponseFinder
-from retuner.adaptive.supervision.retuner_settings import RetunerSettings
 from retuner.adaptive.trial.judge import JudgedResponse
 from retuner.adaptive.trial.prediction import predict
-from retuner.schedule.gains import PidGains
-from retuner.schedule.regions import Regions
-from retuner.schedule.table import GainTable
 
 THETA_SAMPLES = 5
 

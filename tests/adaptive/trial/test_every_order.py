@@ -15,10 +15,9 @@ from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from retuner import LinearProcess, LoopMode, LoopSample, PidGains, ProcessModel, ProcessType
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
-from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
-from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.trial.judge import Judgement, TrialFinding, TrialNumbers
 from retuner.adaptive.trial.phase import ABORTS, ROLLBACK_CAUSES, SILENT, TO_BE_SEEN, UNDECIDED, TrialEvent, TrialPhase
 from retuner.adaptive.trial.prediction import Prediction, predict
@@ -26,7 +25,6 @@ from retuner.adaptive.trial.rollback import StillAllowed
 from retuner.adaptive.trial.supervisor import TrialSupervisor
 from retuner.adaptive.trial.trial import Trial
 from retuner.adaptive.trial.trial_settings import TrialSettings
-from retuner.schedule.gains import PidGains
 
 P, E = TrialPhase, TrialEvent
 PROCESSES = (LinearProcess(1.0, (50.0,), (), 5.5), LinearProcess(1.6, (50.0,), (), 5.5))

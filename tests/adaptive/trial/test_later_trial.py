@@ -4,11 +4,10 @@ import pytest
 from rig import GOOD
 from test_retuner_trial import NEW, Stand, learned_by_a_runaway
 
+from retuner import Action, TrialEvent
 from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.supervision.decide import decide
-from retuner.adaptive.supervision.decision import Action
 from retuner.adaptive.supervision.question import Step
-from retuner.adaptive.trial.phase import TrialEvent
 
 
 def step_until(stand: Stand, *, decision: bool = False, question: bool = False) -> Step:

@@ -8,15 +8,14 @@ from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from retuner import LinearProcess, PidGains, ProcessModel, ProcessType
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.performance import performance
-from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
 from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.signals.response import Ending, Peak, Response
 from retuner.adaptive.trial.batch_responses import ClosedLoop, Upset, traces
 from retuner.adaptive.trial.prediction import Prediction, Spread, predict, predict_without_model
 from retuner.adaptive.trial.response_numbers import peaks_of, shape_of, swing
-from retuner.schedule.gains import PidGains
 
 FOPDT = ProcessModel(ProcessType.FOPDT, 2.0, 50.0, 0.0, 5.0)
 MODELS = (

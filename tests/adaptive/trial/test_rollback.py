@@ -11,11 +11,10 @@ from effort import examples
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from retuner import LinearProcess, LoopMode, LoopSample, PidGains, ProcessModel, ProcessType
 from retuner.adaptive.guard.step_size import less_of_everything
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
-from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
-from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.trial.phase import ABORTS, ROLLBACK_CAUSES, SILENT, UNDECIDED, TrialEvent, TrialPhase
 from retuner.adaptive.trial.prediction import Prediction, predict
 from retuner.adaptive.trial.rollback import (
@@ -32,7 +31,6 @@ from retuner.adaptive.trial.rollback import (
 from retuner.adaptive.trial.supervisor import TrialSupervisor
 from retuner.adaptive.trial.trial import Trial
 from retuner.adaptive.trial.trial_settings import TrialSettings
-from retuner.schedule.gains import PidGains
 
 P, E = TrialPhase, TrialEvent
 PROCESS = LinearProcess(1.0, (50.0,), (), 5.5)

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from rig import BAD, GOOD, MODEL, PROMISE, Rig
 
+from retuner import LoopSample, TrialEvent
 from retuner.adaptive.identification.plausible import Plausible
-from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.trial.diverging_trial import DivergenceLimits, divergence_begin, divergence_step, law_of
-from retuner.adaptive.trial.phase import TrialEvent
 from retuner.adaptive.trial.prediction import predict
 from retuner.adaptive.trial.trial_settings import TrialSettings
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from rig import GOOD, PROMISE, Rig, responses
 
-from retuner.adaptive.process.model import LinearProcess
+from retuner import LinearProcess, PidGains
 from retuner.adaptive.signals.response import Ending, Peak, Response
 from retuner.adaptive.signals.sample import LoopMode, LoopSample, Window
 from retuner.adaptive.trial.judge import JudgedResponse, Judgement, TrialFinding, TrialNumbers
@@ -15,7 +15,6 @@ from retuner.adaptive.trial.phase import ABORTS, ROLLBACK_CAUSES, UNDECIDED, Tri
 from retuner.adaptive.trial.rollback import NOTHING_KNOWN, SetsThatRan, StillAllowed, rollback
 from retuner.adaptive.trial.supervisor import DECIDED, WITH_GAINS, TrialSupervisor
 from retuner.adaptive.trial.trial_settings import TrialSettings
-from retuner.schedule.gains import PidGains
 
 P, E = TrialPhase, TrialEvent
 OLD, NEW, PERSONS = PidGains(1.0, 0.1), PidGains(2.0, 0.2), PidGains(1.5, 0.1)
