@@ -387,8 +387,7 @@ def _by_responses(found: Findings, seen: AllSamples, told: BookNumbers) -> tuple
         much = PidGains(MOST_ROOM * now.kp, MOST_ROOM * now.ki, MOST_ROOM * now.kd)
         if _ms(known.plausible[0], much, settings) <= MS_OF_ROOM:
             return None
-    toned = told.book_tone >= settings.book.less_odds
-    if seen.shown and known.identifiable and not toned:
+    if seen.shown and known.identifiable and told.book_tone < settings.book.less_odds:
         return known.plausible
     if not (seen.by_loads or seen.shown):
         return ()

@@ -155,24 +155,19 @@ def judge(
         return Judgement(TrialFinding.WORSE, worse, TrialNumbers(peaks, posterior))
     if unlike:
         return _by_posterior(unlike, seen.posterior, settings, TrialNumbers(peaks, posterior))
-    now, then = (
-        (prediction.setpoint, prediction.setpoint_before)
-        if setpoint
-        else (prediction.load_step, prediction.load_before)
-    )
-    sigma = sigma_of(seen.response.band, prediction)
-    was = prediction.decay_before(setpoint)
+    said, sigma = prediction, sigma_of(seen.response.band, prediction)
+    now, then = (said.setpoint, said.setpoint_before) if setpoint else (said.load_step, said.load_before)
+    was = said.decay_before(setpoint)
     if not setpoint and was > max(then.decay.high + settings.decay_slack, settings.harmless_decay):
         was = max(was, STAYS)  # no model makes it so large: loads did, and may again
     swings, decay = _swings(seen.response, now, was, sigma, settings)
-    ran_away = prediction.decay_seen is not None and prediction.decay_seen > max(
-        now.decay.high, settings.harmless_decay
-    )
+    ran_away = said.decay_seen is not None and said.decay_seen > max(now.decay.high, settings.harmless_decay)
     before = then.iae.best if math.isfinite(then.iae.best) or ran_away else 0.0
     costs, upset = _costs(seen, gains, now, before, sigma, settings)
     numbers = TrialNumbers(peaks, posterior, decay, upset)
     told = "; ".join(filter(None, (swings, costs)))
-    by_loads = "" if worse else _by_loads(seen, told, settings, robust=excused or (seen.robust and not costs))
+    robust = excused or (seen.robust and not costs)
+    by_loads = "" if worse or not told else _by_loads(seen, told, settings, robust=robust)
     if by_loads:
         return _by_posterior(by_loads, seen.posterior, settings, numbers)
     if told or worse:
@@ -193,12 +188,10 @@ def judge(
 
 
 def _by_loads(seen: JudgedResponse, told: str, settings: TrialSettings, *, robust: bool) -> str:
-    """Which loads explain what the response by itself says against the set; empty where none do, or it says nothing.
+    """Which loads explain what the response by itself says against the set; empty where none do.
 
     robust : all samples hold against that.
     """
-    if not told:
-        return ""
     words = told.replace(WORSE_WORDS, "")
     if robust:
         return f"a wandering load explains this response equally well: {words}"

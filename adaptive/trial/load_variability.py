@@ -27,8 +27,7 @@ from retuner.adaptive.trial.batch_responses import ClosedLoop, Upset, traces
 
 BLOCK = 100  # samples of a block: some dead times of a loop that is sampled as it should be
 FEWEST_BLOCKS = 4  # blocks without which nothing is said
-QUIET, USUAL = 0.25, 0.75
-"""Share of the blocks in which less happens than in the others, and of those that hold what a load does in all."""
+QUIET, USUAL = 0.25, 0.75  # shares of the blocks: in which less happens, and that hold what a load does in all
 
 
 def load_variability(samples: Sequence[LoopSample]) -> tuple[float, float]:
