@@ -148,18 +148,16 @@ def _closed_loop(odds: TuningOdds, process: _Process, setpoint: FloatArray) -> t
     if process.second:
         other = math.exp(-1.0 / seconds[process.second])
     whole = max(round(process.dead), 0)
-    n = len(setpoint)
-    pv, co = np.zeros(n), np.zeros(n)
+    pv, co = list[float](), list[float]()
     first = last = total = 0.0
-    for i in range(n):
-        pv[i] = last
-        error = float(setpoint[i]) - last
-        total += ki * error
-        co[i] = kp * error + total
+    for i, wanted in enumerate(setpoint.tolist()):
+        pv.append(last)
+        total += ki * (wanted - last)
+        co.append(kp * (wanted - last) + total)
         moved = co[i - whole] if i >= whole else 0.0
         first = pole * first + rate * moved
         last = other * last + (1.0 - other) * first
-    return pv, co
+    return np.array(pv), np.array(co)
 
 
 def _energies(odds: TuningOdds, drawn: Sequence[_Process], hold: int, load: LoadModel) -> FloatArray:

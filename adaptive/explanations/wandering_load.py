@@ -300,12 +300,7 @@ def under_loads(
 def unsmoothed(rows: FloatArray, smoothing: float) -> FloatArray:
     """Rows as they were before a recorder smoothed them, from rest; shape (..., n). smoothing : of Prepared."""
     n = rows.shape[-1]
-    return np.asarray(np.fft.irfft(spectrum(rows) * _unsmoothing(smoothing, n), _length(n))[..., :n], dtype=np.float64)
-
-
-@lru_cache(maxsize=16)
-def _unsmoothing(smoothing: float, n: int) -> ComplexArray:
-    return spectrum(impulse_response((1.0,), (1.0, smoothing), n))
+    return filtered(spectrum(rows), n, impulse_response((1.0,), (1.0, smoothing), n))
 
 
 _PAD = int(max(DEAD_TIMES)) + 2

@@ -96,18 +96,19 @@ def searched(grid: SearchGrid, sigma: float, most_loads: int) -> Iterator[Node]:
     lags, thetas = grid.lags_s, grid.thetas_s
     most_loads = min(most_loads, len(grid.at_s))  # changes of the setpoint may bar all but a few places
     shape = (len(lags) * len(thetas), most_loads + 1)
-    deviance, slope, chosen = np.empty(shape), np.empty(shape), np.empty((shape[0], most_loads))
+    deviance, slope, chosen = np.empty(shape), np.empty(shape), np.zeros((shape[0], most_loads))
     span = float(grid.clock.t_s[-1] - grid.clock.t_s[0])
     numbers = array("d", (grid.clock.dt_s or 0.0, span, sigma, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0))
     _engine.search(
         grid.clock.t_s, grid.pv, grid.co, numbers, lags, thetas, grid.at_s, most_loads, deviance, slope, chosen
     )
-    at, rows = grid.at_s.tolist(), zip(deviance.tolist(), slope.tolist(), chosen.tolist(), strict=True)
+    at_s = grid.at_s[chosen.astype(int)]
+    times = [np.sort(at_s[:, :m], axis=1).tolist() for m in range(most_loads + 1)]
     pairs = product(lags.tolist(), thetas.tolist())
-    for (lag, theta), (left, gains, places) in zip(pairs, rows, strict=True):
+    for (lag, theta), left, gains, *loads in zip(pairs, deviance.tolist(), slope.tolist(), *times, strict=True):
         for m in range(most_loads + 1):
             if math.isfinite(left[m]):
-                yield Node(left[m], gains[m], lag, theta, sorted(at[int(j)] for j in places[:m]))
+                yield Node(left[m], gains[m], lag, theta, loads[m])
 
 
 Valve = tuple[float, float, float, float]  # family (0 Kano, 1 He), stick, jump and start
