@@ -24,7 +24,8 @@ Whatever evidence leads back, `less_stable` is asked: no set comes back that is 
 that runs, nor expected to lose more, on the models that are still allowed, before that evidence weighs them (at Ms 100
 the loss is nearly that of an unstable loop). Where a person orders it, only a set that is likelier to be unstable stays
 out. Evidence may be a tone, a load or a wrong model; an unstable loop is none. Where no model is left, those on which
-the tried set was proved keep the door: what they called unstable stays out.
+the tried set was proved keep the door: what they called unstable stays out. One thing is asked of no model: where pv
+left its range under the tried set alone, the set before runs, unless it swung on or was called unstable from the start.
 """
 
 import math
@@ -155,7 +156,7 @@ class SetRecord(NamedTuple):
 def rollback(cause: TrialEvent, ran: SetsThatRan, known: StillAllowed, settings: TrialSettings) -> Rollback:
     """Which set is to run after a cause that ends trials; see the head of this file."""
     swung = ran.swung is not None and ran.swung >= SWINGS_ON
-    left, swung = ran.left and not swung, swung and not known.by_loads
+    left, swung = ran.left and not (swung or ran.lost), swung and not known.by_loads
     if ran.tried is None or ran.tried == ran.before:
         return Rollback(ran.before, stays=False)
     if cause is TrialEvent.ORDERED_BACK:

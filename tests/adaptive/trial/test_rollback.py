@@ -284,12 +284,20 @@ def test_what_swung_on_and_is_unstable_on_every_model_does_not_come_back() -> No
         assert rollback(cause, worked, StillAllowed((PROCESS,)), TrialSettings()).stays
 
 
-@pytest.mark.parametrize(("furthest", "swung", "back"), [(2.0, None, True), (30.0, None, False), (2.0, 1.1, False)])
+@pytest.mark.parametrize(
+    ("before", "furthest", "swung", "back"),
+    [
+        ("swinging more", 2.0, None, True),
+        ("swinging more", 30.0, None, False),
+        ("swinging more", 2.0, 1.1, False),
+        ("unstable", 2.0, None, False),
+    ],
+)
 def test_pv_that_leaves_its_range_leads_back_to_a_set_that_kept_it_there_whatever_models_say(
-    furthest: float, swung: float | None, back: bool
+    before: str, furthest: float, swung: float | None, back: bool
 ) -> None:
     """A process that runs away swings far to one side, and no model has an unstable pole: less gain looks safer."""
-    old, tried = SETS["unstable"], SETS["right"]
+    old, tried = SETS[before], SETS["right"]
     bench = Bench(P.TRIAL, old, tried, StillAllowed((PROCESS,)))
     promise = replace(said(old, tried), furthest=furthest, decay_seen=swung)
     bench.trials.resume({"at": 0, "trials": {"0": replace(bench.trials.of(0), prediction=promise).to_dict()}})
