@@ -128,14 +128,6 @@ def _as_seen(
     return alone, tuple(math.exp(-found.excess / (2.0 * settings.choice.temper)) for found in models)
 
 
-def allowed_models(
-    region: int, region_models: Mapping[int, RegionModel], t_s: float, settings: RetunerSettings
-) -> tuple[Plausible, ...]:
-    """The models of a region that its records still allow now; none where nothing is known of it."""
-    known = region_models.get(region)
-    return () if known is None else still_allowed(known, t_s, settings)
-
-
 def still_allowed(
     region_model: RegionModel, t_s: float, settings: RetunerSettings, met: LogModel | None = None
 ) -> tuple[Plausible, ...]:
