@@ -125,7 +125,7 @@ def _closely(side: Side, weights: Sequence[float], direction: int) -> float:
     for (record, _, rows), weight in zip(side, weights, strict=True):
         walks = [under_loads(record, rows, o.lag, NEAR_LOADS, (o.dead,), seconds=(o.second,)) for o in found]
         walk = max(float(np.max(fit.tempered(fit.gain[..., None]))) for fit in walks)
-        jumping = Given(record, direction, NO_TONE).with_jumps(rows[0], found, 1) / TEMPER
+        jumping = Given(record, direction, NO_TONE).with_jumps(rows[0], found, 1).told / TEMPER
         more += weight * float(np.logaddexp(0.0, jumping - walk))
     return max(one.told for one in found) + more
 

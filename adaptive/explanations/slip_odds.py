@@ -19,14 +19,15 @@ valve here: pv is a square under a triangle of co. Its rival is periodic_load.py
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from itertools import pairwise
 
 import numpy as np
 
 from retuner.adaptive.explanations.jumping_load import shocks
-from retuner.adaptive.explanations.valve_odds import COARSE, DEAD_TIMES, LAGS, NO_TONE, Given, Loads
+from retuner.adaptive.explanations.process_grid import Nearest
+from retuner.adaptive.explanations.valve_odds import COARSE, EVERY_DEAD, EVERY_LOAD, LAGS, NO_TONE, Given, Loads
 from retuner.adaptive.explanations.wandering_load import SLOPE, T_SETPOINT, TEMPER, VALUE, Prepared, under_loads
 from retuner.adaptive.signals.sample import FloatArray, median
 from retuner.adaptive.valve.slips import Co, Slips, TriedSlips, one_moved, with_one_more
@@ -48,6 +49,7 @@ MOVES = (-12, -4, -1, 1, 4, 12)  # Rows by which a slip is moved
 TRIED, PLACES, FEWEST, MOST_TURNS = 25, 7, 2, 40
 """Rows at which one more slip is tried; places where the valve may stand first; slips that make a law; turns of co."""
 MOST_ROWS = 512  # Rows in which a record is looked at
+Costs = Callable[[Sequence[Slips]], FloatArray]
 OWN_NUMBERS = 4
 """Numbers of such a valve, at half of ln n each: middle and scatter of the bands, r, and where it stands first."""
 EVEN, LEAST = 0.05, 1e-9
@@ -71,20 +73,20 @@ def log_odds_of_slips(record: Prepared, direction: int) -> float:
     slips = min(trials, key=lambda trial: trial.cost, default=None)
     if slips is None:
         return -math.inf
-    (position,), (price,) = _placed(co, [slips.at])
-    if _through(record, direction, position, COARSE) - float(price) <= by_co:
-        return -math.inf
     given = Given(record, direction, NO_TONE, BESIDE)
-    own, starts = given.on_grid(np.array([record.co, position]))
-    told = T_SETPOINT * given.nearest(position, starts).told - float(price)
+    told, at = _nearest(given, co, slips.at)
+    if told <= by_co:
+        return -math.inf
+    told = max(told, _nearest(given, co, _settled(TriedSlips(_behind(given, co, slips.at, at), slips.at), co).at)[0])
+    (own,) = given.on_grid(record.co[None])
     walk = given.nearest(record.co, own)
-    by_co = max(T_SETPOINT * walk.told, given.with_jumps(record.co, (walk, *own)))
+    by_co = max(T_SETPOINT * walk.told, given.with_jumps(record.co, (walk, *own)).told)
     return (told - by_co) / TEMPER if told > by_co else -math.inf
 
 
 def alone(record: Prepared, direction: int) -> float:
     """The largest ln L of co itself."""
-    return _through(record, direction, record.co, DEAD_TIMES)
+    return _through(record, direction, record.co, EVERY_DEAD)
 
 
 def _through(record: Prepared, direction: int, moved: FloatArray, dead: Sequence[float]) -> float:
@@ -139,6 +141,30 @@ def _costs(
     return np.asarray(prices - _told(record, direction, moved, lag, (load,), COARSE)[0])
 
 
+def _nearest(given: Given, co: Co, slips: Slips) -> tuple[float, Nearest]:
+    """ln L of slips with their price, behind the process that suits them best."""
+    (position,), (price,) = _placed(co, [slips])
+    (starts,) = given.on_grid(position[None])
+    at = given.nearest(position, starts)
+    return T_SETPOINT * at.told - float(price), at
+
+
+def _behind(given: Given, co: Co, slips: Slips, at: Nearest) -> Costs:
+    """What slips behind one process tell, under the load that is likeliest there; as of `_costs`."""
+    (position, *_), _ = _placed(co, [slips])
+    loads = given.weighed(position[None], at.lag, EVERY_LOAD, (at.dead,), seconds=(at.second,))
+    load, dead = EVERY_LOAD[int(np.argmax(loads))], [max(at.dead + late, 0.0) for late in (-1.0, 0.0, 1.0)]
+
+    def costs(each: Sequence[Slips]) -> FloatArray:
+        if not each:
+            return np.zeros(0)
+        moved, prices = _placed(co, each)
+        told = given.weighed(moved, at.lag, (load,), dead, seconds=(at.second,))[0, 0].max(axis=1)
+        return np.asarray(prices - T_SETPOINT * told)
+
+    return costs
+
+
 def _steps_seen(record: Prepared) -> tuple[list[list[int]], float]:
     """Sets of rows at which pv steps, the likeliest first; and ln L that a valve which slips is not taken to pass.
 
@@ -170,7 +196,7 @@ def _starts(record: Prepared, direction: int, co: Co, seen: list[list[int]]) -> 
         return
     moved, prices = _placed(co, list(each))
     behind = [(lag, load) for lag in LAGS for load in STEPPING]
-    told = np.concatenate([_told(record, direction, moved, lag, STEPPING, COARSE) for lag in LAGS]) - prices
+    told = np.concatenate([_told(record, direction, moved, lag, STEPPING, EVERY_DEAD) for lag in LAGS]) - prices
     taken: set[tuple[int, ...]] = set()
     for i, slips in sorted(enumerate(each), key=lambda one: -float(told[:, one[0]].max())):
         if slips.rows not in taken and len(taken) < POLISHED:

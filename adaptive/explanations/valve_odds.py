@@ -7,7 +7,7 @@ A valve that sticks moves in jumps, and a jump through the process is what no wa
 price of their numbers; process and load have the same freedom on both sides, so they have no price. Half of the valves
 have play or follow after a slip, on a coarse grid; the other half slip all the way to co (He et al. 2007, J = S). There
 each slip decides when the next one comes, so a band that is off by a hundredth may make another movement altogether:
-240 bands are screened, the likeliest compared closely.
+240 bands are screened, 1,600 behind likely processes, and the likeliest compared closely.
 
 What the grid of processes lacks passes for a valve, or hides one, the more so the less noise there is: under a setpoint
 step of twelve standard deviations a quarter of a sample of dead time was e^230. So where a valve is in question both
@@ -22,13 +22,13 @@ and loads alone by one or two: neither shows by itself what both together do.
 
 import math
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
-from retuner.adaptive.explanations.jumping_load import MOST_JUMPS, delayed, shocks_that_pay
+from retuner.adaptive.explanations.jumping_load import JUMP_PRICE, MOST_JUMPS, delayed, shocks_that_pay
 from retuner.adaptive.explanations.process_grid import DEAD_TIMES as OF_GRID
 from retuner.adaptive.explanations.process_grid import ENOUGH, Nearest, likeliest, nearest, second_lags
-from retuner.adaptive.explanations.process_grid import LAGS as EVERY_LAG
 from retuner.adaptive.explanations.tone import ToneColumns
 from retuner.adaptive.explanations.wandering_load import (
     BOTH,
@@ -38,6 +38,8 @@ from retuner.adaptive.explanations.wandering_load import (
     TEMPER,
     VALUE,
     Prepared,
+    impulse_response,
+    load_models,
     responses,
     under_loads,
 )
@@ -59,6 +61,9 @@ SLIPPING += [
 ]
 """Valves that slip all the way."""
 KINDS = (MOVING, SLIPPING)
+FINER: list[Valve] = [(Family.HE, float(band), 1.0, 0.0) for band in np.geomspace(0.05, 0.9, 1600)]
+"""Those again, behind likely processes: of seventeen slips the last ones are at other rows half a hundredth further."""
+AROUND = np.arange(-2.0, 3.0)  # dead times beside that of a likely process
 WEIGHT = TEMPER / T_SETPOINT
 """A valve's jump owes nothing to loads, as what a setpoint does: its likelihood is tempered as that is."""
 LIKELIEST = 8  # valves of each kind out of those that are compared with second lags and under more loads
@@ -73,14 +78,23 @@ LAGS = (1.0, 3.0, 7.0, 15.0, 33.0, 80.0, math.inf)
 LATEST = 40.0  # dead time, samples: a slip that comes later than so is as likely to meet a jump of the load by chance
 DEAD_TIMES = tuple(one for one in OF_GRID if one <= LATEST)
 COARSE = (*DEAD_TIMES[::2], LATEST)
+EVERY_DEAD = tuple(sorted({*DEAD_TIMES, *np.arange(LATEST + 1.0).tolist()}))
+"""With next to no noise, or a valve that slips, a dead time that is a sample off hides a process."""
 NO_TONE = ToneColumns(np.zeros((0, 0)), (0,), (0.0,))
 Loads = Sequence[tuple[float, int]]
 LOADS: Loads = tuple((bandwidth, order) for order in (1, 2) for bandwidth in (0.05, 0.2, 0.8, math.inf))
 """Bandwidth and order of the loads that are tried."""
 FREE_LAGS = (0.5, *LAGS)
-EVERY_DEAD = tuple(np.arange(LATEST + 1.0).tolist())  # with next to no noise one that is a sample off hides a process
-JUMPING: Loads = (*((one, VALUE) for one in (0.02, 0.1, 0.4, 0.8, math.inf)), (math.inf, BOTH), (0.1, SLOPE))
+JUMPING: Loads = (
+    *((one, VALUE) for one in (0.02, 0.1, 0.4, 0.8, math.inf)),
+    *((math.inf, order) for order in (BOTH, SLOPE)),
+    (0.1, SLOPE),
+)
 """Loads that jump, or turn a corner, besides."""
+TRIED, BEHIND = 4, 7.0
+"""Pairs of load and lag beside whose first jump the process is looked for again, and how far behind a valve counts."""
+LATE = 20
+"""Rows after a change of the setpoint in which a jump comes with it."""
 NEAR_LOADS: Loads = tuple((bandwidth, order) for order in (VALUE, SLOPE) for bandwidth in FINE)
 EVERY_LOAD: Loads = (*NEAR_LOADS, *((bandwidth, BOTH) for bandwidth in FINE))
 OCTAVES: Loads = tuple((bandwidth, order) for order in (1, 2) for bandwidth in (0.05, 0.1, 0.2, 0.4, 0.8, math.inf))
@@ -142,19 +156,33 @@ class Given:
             return np.asarray(told[:, 0])
         return np.asarray(np.max(told - WEIGHT * np.array(tone.prices)[:, None, None, None] / TEMPER, axis=1))
 
-    def screened(self, rows: FloatArray, loads: Loads) -> FloatArray:
+    def screened(self, rows: FloatArray, loads: Loads, dead: Sequence[float]) -> FloatArray:
         """Tempered log-likelihood of rows behind one lag, the likeliest; shape (loads, rows)."""
-        each = [self.weighed(rows, lag, loads, DEAD_TIMES, seconds=(0.0,)) for lag in FREE_LAGS]
+        each = [self.weighed(rows, lag, loads, dead, seconds=(0.0,)) for lag in FREE_LAGS]
         return np.asarray(np.max(each, axis=(0, 2, 4)))
 
     def on_grid(self, rows: FloatArray) -> list[list[Nearest]]:
         """The likeliest points of the grid for each row, the likeliest first, one of each first lag."""
         found: list[list[Nearest]] = [[] for _ in rows]
         for lag in FREE_LAGS:
-            each = self.weighed(rows, lag, self.loads, DEAD_TIMES).max(axis=0)
+            each = self.weighed(rows, lag, self.loads, EVERY_DEAD).max(axis=0)
             for i, of_lag in enumerate(found):
-                of_lag.append(likeliest(each[:, i], lag, second_lags(lag), DEAD_TIMES))
+                of_lag.append(likeliest(each[:, i], lag, second_lags(lag), EVERY_DEAD))
         return [sorted(of_lag, key=lambda one: -one.told) for of_lag in found]
+
+    def finer(self, behind: Sequence[Nearest]) -> list[tuple[FloatArray, list[Nearest], float]]:
+        """The likeliest of FINER behind some processes, with points of the grid, and ln of the share of each."""
+        rows = positions(self.record.co, FINER)[1]
+        firsts = np.flatnonzero(np.append(True, np.any(np.diff(rows, axis=0), axis=1)))
+        many, rows = np.diff(np.append(firsts, len(rows))), rows[firsts]
+        told = np.full(len(rows), -math.inf)
+        for at in behind:
+            dead = tuple(one for one in (at.dead + AROUND).tolist() if 0.0 <= one <= LATEST)
+            each = self.weighed(rows, at.lag, self.loads[:SCREENED], dead, seconds=(at.second,))
+            told = np.maximum(told, each.max(axis=(0, 1, 3)))
+        more = np.log(many * (len(SLIPPING) / len(FINER)))
+        best = np.argsort(-told - more, kind="stable")[:CLOSELY]
+        return list(zip(rows[best], self.on_grid(rows[best]), more[best].tolist(), strict=True))
 
     def near(self, row: FloatArray, start: Nearest) -> Nearest:
         """The likeliest process between the points of the grid, near a start."""
@@ -167,34 +195,72 @@ class Given:
         return nearest(told, start, WEIGHT / TEMPER * ENOUGH, LATEST)
 
     def nearest(self, row: FloatArray, starts: Sequence[Nearest], known: Nearest | None = None) -> Nearest:
-        """The likeliest near the first of starts (known: that one), or near the likeliest of every dead time."""
-        dense = []
-        for lag in EVERY_LAG:
-            each = self.weighed(row[None], lag, self.loads, EVERY_DEAD)[:, :, 0].max(axis=0)
-            dense.append(likeliest(each, lag, second_lags(lag), EVERY_DEAD))
-        likely = sorted(dense, key=lambda one: -one.told)[:CLOSER]
-        first, *others = dict.fromkeys(replace(one, told=0.0) for one in (starts[0], *likely))
+        """The likeliest near the first few of starts (known: near the very first)."""
+        first, *others = starts[:CLOSER]
         return max(known or self.near(row, first), *(self.near(row, one) for one in others), key=lambda one: one.told)
 
-    def jumping(self, row: FloatArray, walk: Nearest, tried: Sequence[Nearest]) -> float:
-        """Tempered log-likelihood of an input where in one half of cases the load jumps or turns corners besides.
-
-        walk : the process where it only wanders. Jumps count as loads do. tried : of with_jumps.
-        """
-        lead = (self.with_jumps(row, (walk, *tried)) - T_SETPOINT * walk.told) / TEMPER
-        return walk.told + float(np.logaddexp(0.0, lead)) - math.log(2.0)
-
-    def with_jumps(self, row: FloatArray, tried: Sequence[Nearest], most: int = MOST_JUMPS) -> float:
-        """ln L of an input under a load that jumps or turns corners, priced.
+    def with_jumps(self, row: FloatArray, tried: Sequence[Nearest], most: int = MOST_JUMPS) -> "Jumping":
+        """An input under a load that jumps or turns corners, behind the process that suits it best then.
 
         tried : processes behind which jumps are looked for: a walk that leaves jumps over is likeliest behind another.
         """
-        behind = {one: delayed(responses(row, one.lag, (one.second,))[0], one.dead) for one in dict.fromkeys(tried)}
-        return max(
-            shocks_that_pay(self.record, at.lag, load, moved, at.second * (load[1] == BOTH), most)[1]
-            for at, moved in behind.items()
-            for load in JUMPING
-        )
+        each = [self._jumps(row, at, load, most) for at in dict.fromkeys(tried) for load in JUMPING]
+        each.sort(key=lambda one: -one.told)
+        starts = []
+        for one in each[:TRIED]:
+            first, seconds = one.rows[:1], second_lags(one.at.lag)
+            if first:
+                told = self._beside(row, one.under, first, one.at.lag, seconds, EVERY_DEAD)
+                starts.append((likeliest(told, one.at.lag, seconds, EVERY_DEAD), one.under, first))
+        if not starts:
+            return each[0]
+        start, load, first = max(starts, key=lambda one: one[0].told)
+        at = nearest(partial(self._beside, row, load, first), start, ENOUGH, LATEST)
+        return max(each[0], self._jumps(row, at, load, most), key=lambda one: one.told)
+
+    def _jumps(self, row: FloatArray, at: Nearest, load: tuple[float, int], most: int = MOST_JUMPS) -> "Jumping":
+        """Jumps that pay behind a process."""
+        moved = delayed(responses(row, at.lag, (at.second,))[0], at.dead)
+        rows, told = shocks_that_pay(self.record, at.lag, load, moved, at.second * (load[1] == BOTH), most)
+        return Jumping(told, rows, at, load)
+
+    def temper_of(self, jumping: "Jumping") -> float:
+        """What the lead of jumps beside co counts by: as a valve's slips do. But as loads do where one comes with a
+        change of the setpoint, or several leave co less to do than one of them costs: then a valve may as well stand.
+        """
+        late = any(0 <= row - step < LATE for row in jumping.rows for step in self.record.stepped)
+        none = self._jumps(np.zeros_like(self.record.co), jumping.at, jumping.under).told
+        idle = len(jumping.rows) > 1 and jumping.told - none <= JUMP_PRICE * math.log(len(self.record.co))
+        return TEMPER if late or idle else T_SETPOINT
+
+    def _beside(
+        self, row: FloatArray, load: tuple[float, int], jumps: Sequence[int], lag: float, seconds: tuple[float, ...],
+        dead: Sequence[float],
+    ) -> FloatArray:  # fmt: skip
+        """ln L of an input beside jumps at these rows, shape (second lags, dead times); not priced."""
+        n, each = len(row), []
+        for some in ((one,) for one in seconds) if load[1] == BOTH else (seconds,):
+            (model,) = load_models(lag, load[:1], *((VALUE, some[0]) if load[1] == BOTH else load[1:]))
+            one = impulse_response((1.0,), model.c, n)
+            columns = np.array([delayed(one, jump + 1) for jump in jumps])
+            given, ends = (self.record, row[None], lag, (load,), dead), (len(jumps),)
+            fits = under_loads(*given, seconds=some, tones=columns, ends=ends)
+            right = np.where(fits.gain * self.direction > 0, fits.gain, 0.0)
+            left = fits.left + fits.information * (right - fits.gain) ** 2
+            each.append(-(fits.freedom[0] + len(jumps) - 1.0) / 2.0 * np.log(left[0] / fits.size))
+        return np.concatenate(each)
+
+
+@dataclass(frozen=True, slots=True)
+class Jumping:
+    """told : ln L of an input under a load that jumps or turns corners at these rows, priced. at : the process. under :
+    bandwidth and order of the load.
+    """
+
+    told: float
+    rows: list[int]
+    at: Nearest
+    under: tuple[float, int]
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,7 +282,7 @@ class _Compared:
         given, co = self.given, self.given.record.co
         rows = np.array([[StuckValve(f, b, j * b, start).position(co) for start in STARTS] for f, b, j, _ in valves])
         rows -= rows[..., :1]
-        found = given.screened(rows.reshape(-1, len(co)), given.loads[:SCREENED])
+        found = given.screened(rows.reshape(-1, len(co)), given.loads[:SCREENED], EVERY_DEAD)
         at = np.argmax(found.max(axis=0).reshape(len(valves), -1), axis=1)
         told = [starts[0].told for starts in given.on_grid(rows[np.arange(len(valves)), at])]
         return np.array(told) - self.free
@@ -229,39 +295,57 @@ def _compared(record: Prepared, direction: int, tone: ToneColumns) -> _Compared 
     if not all(which for which, _ in moved):
         return None
     given, co = Given(record, direction, tone), record.co
-    sides = [given.screened(rows, OCTAVES).max(axis=1) for rows in (co[None], moved[0][1])]
+    sides = [given.screened(rows, OCTAVES, DEAD_TIMES).max(axis=1) for rows in (co[None], moved[0][1])]
     by_load = np.maximum(*(side - side.max() for side in sides))  # either side is compared under its own likeliest ones
     given = replace(given, loads=[OCTAVES[i] for i in np.argsort(-by_load, kind="stable")[:CLOSER_LOADS]])
     (own,), each, likeliest = given.on_grid(co[None]), [], []
     for valves, (which, rows) in zip(KINDS, moved, strict=True):
-        screened = given.screened(rows, given.loads[:SCREENED]).max(axis=0)
+        screened = given.screened(rows, given.loads[:SCREENED], EVERY_DEAD).max(axis=0)
         first = np.argsort(-screened, kind="stable")[:LIKELIEST]
         by_grid = sorted(zip(first, given.on_grid(rows[first]), strict=True), key=lambda one: -one[1][0].told)
-        each.append([(rows[i], starts) for i, starts in by_grid])
+        each.append([(rows[i], starts, 0.0) for i, starts in by_grid])
         best = [valves[which[i]] for i, _ in by_grid]
         likeliest.append([(family, travel * band, jump, start) for family, band, jump, start in best])
     among, free = [len(which) for which, _ in moved], own[0].told
-    on_grid = odds = _odds(free, [[starts[0].told for _, starts in kind] for kind in each], among)
+    on_grid = odds = _odds(free, [[starts[0].told for _, starts, _ in kind] for kind in each], among)
     walk = own[0]
     if odds > IN_QUESTION:
         walk = given.near(co, own[0])
-        odds = on_grid + free - walk.told
+        finer = given.finer((walk, *(starts[0] for kind in each for _, starts, _ in kind[:CLOSELY])))
+        each[1] = sorted([*finer, *each[1]], key=lambda one: -one[1][0].told - one[2])
+        told = [[starts[0].told + more for _, starts, more in kind] for kind in each]
+        odds = _odds(walk.told, told, among)
     if odds > IN_QUESTION:
         walk = given.nearest(co, own, walk)
-        odds = on_grid + free - walk.told
+        odds = _odds(walk.told, told, among)
     if odds > IN_QUESTION:
-        near = [[(row, starts, given.nearest(row, starts)) for row, starts in kind[:CLOSELY]] for kind in each]
-        odds = _odds(walk.told, [[one.told for *_, one in kind] for kind in near], among)
+        near = [[(*one, given.nearest(*one[:2])) for one in kind[:CLOSELY]] for kind in each]
+        odds = _odds(walk.told, [[one.told + more for *_, more, one in kind] for kind in near], among)
         if odds > 0.0 and not len(tone.columns):  # free jumps of a load explain what the slips of a valve do
-            jumping = [[given.jumping(row, one, starts) for row, starts, one in kind] for kind in near]
-            odds = _odds(given.jumping(co, walk, own), jumping, among)
+            least = max(one.told + more for kind in near for *_, more, one in kind) - BEHIND
+            near = [[one for one in kind if one[-1].told + one[2] >= least] for kind in near]
+            by_co = given.with_jumps(co, (walk, *own))
+            half = partial(_in_half, temper=given.temper_of(by_co))
+            jumping = [
+                [half(one, given.with_jumps(row, (one, *starts)).told) + more for row, starts, more, one in kind]
+                for kind in near
+            ]
+            odds = _odds(half(walk, by_co.told), jumping, among)
     return _Compared(given, free, odds, on_grid, likeliest, among)
+
+
+def _in_half(walk: Nearest, told: float, temper: float) -> float:
+    """Tempered log-likelihood of an input where in one half of cases the load jumps or turns corners besides.
+
+    walk : the process where it only wanders. told : of with_jumps.
+    """
+    return walk.told + float(np.logaddexp(0.0, (told - T_SETPOINT * walk.told) / temper)) - math.log(2.0)
 
 
 def _odds(free: float, told: Sequence[Sequence[float]], among: Sequence[int]) -> float:
     """ln Bayes factor of a valve, tempered. told : of the likeliest of each kind, out of so many."""
-    each = [log_mean(np.array(one)) - free + math.log(len(one) / many) for one, many in zip(told, among, strict=True)]
-    return log_mean(np.array(each))
+    each = [one - math.log(many * len(among)) for of, many in zip(told, among, strict=True) for one in of]
+    return float(np.logaddexp.reduce(each)) - free
 
 
 def log_mean(values: FloatArray) -> float:

@@ -160,7 +160,7 @@ class Prepared:
 
     pv, co : shape (n,). resolution : standard deviation of what pv cannot show. sample_time_s : after condensing.
     first : the first value of pv. smoothing : f of a recorder that made both 1 + f q of what they were; 0 to 1.
-    size : variance of pv, in which sums of squares are counted.
+    stepped : rows at which the setpoint changes. size : variance of pv, in which sums of squares are counted.
     """
 
     pv: FloatArray
@@ -169,6 +169,7 @@ class Prepared:
     sample_time_s: float
     first: float = 0.0
     smoothing: float = 0.0
+    stepped: tuple[int, ...] = ()
     size: float = field(init=False)
 
     def __post_init__(self) -> None:
@@ -178,7 +179,8 @@ class Prepared:
     def at(cls, window: Window, dt_s: float) -> "Prepared":
         """A window at an interval, by block means of pv and co alike: one filter on both leaves their relation."""
         finest = max(quantum_sigma(window.pv), hidden_sigma(window.pv))
-        raw = cls(window.pv, window.co, finest, window.sample_time_s)
+        stepped = tuple((np.flatnonzero(np.diff(window.sp)) + 1).tolist())
+        raw = cls(window.pv, window.co, finest, window.sample_time_s, stepped=stepped)
         return raw.condensed(max(round(dt_s / window.sample_time_s), 1))
 
     def coarser(self, most: int) -> "Prepared":
@@ -190,7 +192,8 @@ class Prepared:
         """The same in rows of n."""
         pv, co = (block_means(x, n) for x in (self.pv, self.co))
         finest = max(self.resolution / math.sqrt(n), LEAST_NOISE * float(np.std(pv)))
-        return Prepared(pv - pv[0], co - co[0], finest, n * self.sample_time_s, self.first + float(pv[0]))
+        first, stepped = self.first + float(pv[0]), tuple(row // n for row in self.stepped)
+        return Prepared(pv - pv[0], co - co[0], finest, n * self.sample_time_s, first, stepped=stepped)
 
 
 def block_means(x: FloatArray, n: int) -> FloatArray:

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from effort import sized
+from pi_loop import Lag, pi_loop
 
 from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.explanations.slip_odds import log_odds_of_slips
@@ -53,6 +54,21 @@ def test_a_diagnosis_names_such_a_valve(seed: int) -> None:
     told = diagnose_windows([window], gains=PidGains(GAIN, RESET)).diagnosis
     assert told.cause is Cause.STICTION
     assert told.causes["stiction"] > 0.9
+
+
+def test_slips_are_placed_behind_the_process_that_suits_them() -> None:
+    """Behind the points of the grid they stayed some rows off, and were worth e^3."""
+    rng, n, at, needed = np.random.default_rng(1), 625, 0.0, 1.2
+
+    def valve(co: float) -> float:
+        nonlocal at, needed
+        if abs(co - at) >= needed:
+            at, needed = 0.6 * co + 0.4 * at, 1.2 * math.exp(0.5 * rng.standard_normal())
+        return at
+
+    noise, load = 0.02 * rng.standard_normal(n), 0.02 * np.cumsum(rng.standard_normal(n))
+    seen = pi_loop(PidGains(0.9, 0.15), Lag(3.3, 1), np.zeros(n), noise, load, valve=valve)
+    assert log_odds_of_slips(Prepared.at(seen, 1.0), 1) > 8.0
 
 
 @pytest.mark.parametrize("load", ["wanders", "jumps", "turns a corner"])
