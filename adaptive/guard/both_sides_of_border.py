@@ -30,8 +30,8 @@ from retuner.schedule.table import GAIN_NAMES, GainTable, Lookup
 
 SHARES_HARD = (1.0, 0.5)
 """Weights at which a hard border is proved, in shares of the reach: the farthest first, then half way."""
-SHARES_MIXED = (0.5, 0.25, 0.75)
-"""Weights at which an interpolation is proved: Ms along a mean of two sets has no narrow peaks."""
+SHARES_MIXED = (0.5, 0.25, 0.75, 0.9)
+"""Weights at which an interpolation is proved: Ms along a mean of two sets has no narrow peaks; it rises to an end."""
 SHARES_UNKNOWN = (0.5, 0.25)
 """Shares where nothing is known of the neighbour: the own process stands for it up to half way."""
 
