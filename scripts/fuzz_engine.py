@@ -194,19 +194,29 @@ def call_screen(random: Random) -> list[Any]:
     return [t, *(numbers(random, n) for _ in range(3)), 50.0, band, shortest, random.randint(1, n), zeros(56)]
 
 
+def load(random: Random) -> tuple[float, ...]:
+    """Degree, roots and what is under them."""
+    return (random.randint(1, 3), *(random.choice((1.0, random.random())) for _ in range(3)), -0.9, 0.2, 0.0)
+
+
+def call_whiten(random: Random) -> list[Any]:
+    """Proper arguments of whiten."""
+    n, second = random.randint(8, 60), random.choice((0.0, random.random()))
+    of = array("d", (random.choice((0.0, 0.3)), second, random.choice((0.0, second))))
+    return [numbers(random, n), numbers(random, random.choice((0, n))), array("d", load(random)), of, zeros(7 * n)]
+
+
 def call_walk(random: Random) -> list[Any]:
     """Proper arguments of walk."""
     n, inputs, loads, deads = random.randint(8, 60), random.randint(0, 5), random.randint(0, 3), random.randint(0, 4)
-    walks = array("d")
-    for _ in range(loads):
-        degree = random.randint(1, 3)
-        walks.extend((degree, *(random.choice((1.0, random.random())) for _ in range(3)), -0.9, 0.2, 0.0))
+    walks = array("d", (one for _ in range(loads) for one in load(random)))
     poles = [array("d", [random.random() for _ in range(random.randint(low, 4))]) for low in (1, 0)]
     late = array("d", [random.choice((0.0, 0.5, 3.0, 70.0, random.uniform(0, 90))) for _ in range(deads)])
     tones = random.randint(0, 12)
     ends = array("d", sorted(random.randint(0, tones) for _ in range(random.randint(1, 4))))
     cells = loads * len(ends) * len(poles[0]) * inputs * deads
-    return [numbers(random, n), numbers(random, inputs * n), walks, *poles, late, array("d", (0.9, 0.1, 1e-4)),
+    of = array("d", (0.9, 0.1, 1e-4, random.choice((0.0, 0.3))))
+    return [numbers(random, n), numbers(random, inputs * n), walks, *poles, late, of,
             numbers(random, tones * n), ends, *(zeros(cells) for _ in range(3))]  # fmt: skip
 
 

@@ -496,6 +496,8 @@ static PyObject *py_walk(View *v, Work *w, PyObject *const *from) {
         within(&v[6], 0, 1e300, "numbers: none below 0") || sized(&v[7], tones * n, "tones") ||
         within(&v[8], 0, (double)tones, "ends: numbers of tones"))
         return NULL;
+    if (!(v[6].x[1] > 0)) /* inputs that are behind the lags already are one row each */
+        return refuse("numbers: a rise above 0"), NULL;
     for (int i = 0; i < 3; i++)
         if (view(from[9 + i], &v[9 + i], ANSWERS[i], 1) ||
             sized(&v[9 + i], v[2].n / LOAD * v[8].n * rows * v[5].n, ANSWERS[i]))
