@@ -208,8 +208,8 @@ class Given:
         each.sort(key=lambda one: -one.told)
         starts = []
         for one in each[:TRIED]:
-            first, seconds = one.rows[:1], second_lags(one.at.lag)
-            if first:
+            if one.rows:
+                first, seconds = one.rows[0], second_lags(one.at.lag)
                 told = self._beside(row, one.under, first, one.at.lag, seconds, EVERY_DEAD)
                 starts.append((likeliest(told, one.at.lag, seconds, EVERY_DEAD), one.under, first))
         if not starts:
@@ -234,20 +234,16 @@ class Given:
         return TEMPER if late or idle else T_SETPOINT
 
     def _beside(
-        self, row: FloatArray, load: tuple[float, int], jumps: Sequence[int], lag: float, seconds: tuple[float, ...],
+        self, row: FloatArray, load: tuple[float, int], jump: int, lag: float, seconds: tuple[float, ...],
         dead: Sequence[float],
     ) -> FloatArray:  # fmt: skip
-        """ln L of an input beside jumps at these rows, shape (second lags, dead times); not priced."""
+        """ln L of an input beside a jump at this row, shape (second lags, dead times); not priced."""
         n, each = len(row), []
         for some in ((one,) for one in seconds) if load[1] == BOTH else (seconds,):
             (model,) = load_models(lag, load[:1], *((VALUE, some[0]) if load[1] == BOTH else load[1:]))
-            one = impulse_response((1.0,), model.c, n)
-            columns = np.array([delayed(one, jump + 1) for jump in jumps])
-            given, ends = (self.record, row[None], lag, (load,), dead), (len(jumps),)
-            fits = under_loads(*given, seconds=some, tones=columns, ends=ends)
-            right = np.where(fits.gain * self.direction > 0, fits.gain, 0.0)
-            left = fits.left + fits.information * (right - fits.gain) ** 2
-            each.append(-(fits.freedom[0] + len(jumps) - 1.0) / 2.0 * np.log(left[0] / fits.size))
+            jumped = delayed(impulse_response((1.0,), model.c, n), jump + 1)[None]
+            fits = under_loads(self.record, row[None], lag, (load,), dead, seconds=some, tones=jumped, ends=(1,))
+            each.append(TEMPER * fits.in_direction(self.direction)[0])
         return np.concatenate(each)
 
 
