@@ -38,6 +38,7 @@ from retuner.adaptive.signals.sample import FloatArray, Window, quantile
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
 
+ROWS = 10  # rows of an integral time: a loop at its limit swings in 1.2 of those by Ziegler and Nichols, so in twelve
 MOST_HELD = 0.9  # quantile of the rows for which pv stands still, no shorter than their mean where it is quantised
 FEWEST_RECORD_SAMPLES = 60  # Samples of a record that a load that wanders is looked for in
 
@@ -63,7 +64,7 @@ def compared(
     windows: Sequence[Window], gains: PidGains | None, direction: int, settings: OddsSettings
 ) -> ComparedRecords | None:
     """All records and windows under a load that wanders; None where nothing moves. direction : of the process."""
-    dt = max(_interval_s(w, settings) for w in windows)
+    dt = max(_interval_s(w, gains, settings) for w in windows)
     parts = [part for w in windows for part in windows_of(w, dt, settings.most_windows)]
     parts = [part for part in parts if len(part.t_s) >= round(dt / part.sample_time_s)]  # an interval or longer
     both = [(Prepared.at(part, dt), Prepared.at(replace(part, pv=part.sp), dt).pv) for part in parts]
@@ -137,12 +138,15 @@ def _share(record: Prepared, setpoint: FloatArray, likelihood: FloatArray) -> tu
     return setpoint_share(record, setpoint, shapes()[row].lag)
 
 
-def _interval_s(window: Window, settings: OddsSettings) -> float:
-    """The interval at which a record is compared: a few windows hold it, and pv shows a change in most of its rows.
+def _interval_s(window: Window, gains: PidGains | None, settings: OddsSettings) -> float:
+    """The interval at which a record is compared: a few windows hold it, or of a longer one as much as leaves ROWS in
+    an integral time, and pv shows a change in most of its rows.
 
     What is at rest without any noise before a step, and after it, shows a change in each row between.
     """
     fits = -(-len(window.t_s) // (settings.most_windows * MOST_SAMPLES))
+    if gains is not None and gains.ki and gains.kp:
+        fits = min(fits, max(int(gains.kp / gains.ki / ROWS / window.sample_time_s), 1))
     held = np.diff(np.flatnonzero(np.diff(window.pv, prepend=math.nan, append=math.nan)))
     shown = min(round(min(float(np.mean(held)), quantile(held, MOST_HELD))), settings.most_held)
     return window.sample_time_s * max(fits, min(shown, max(len(window.t_s) // FEWEST_RECORD_SAMPLES, 1)))

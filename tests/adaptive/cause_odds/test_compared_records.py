@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from pi_loop import Lag, pi_loop
 
+from retuner.adaptive.cause_odds.compared_records import compared
 from retuner.adaptive.cause_odds.odds import diagnose_records
+from retuner.adaptive.cause_odds.odds_settings import OddsSettings
 from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.signals.sample import Window
 from retuner.schedule.gains import PidGains
@@ -44,3 +46,14 @@ def test_a_record_shorter_than_an_interval_of_another_one_says_nothing_beside_it
     short = Window(slow.t_s[:100] / 1000.0, slow.sp[:100], slow.pv[:100], slow.co[:100])
     for records in ([slow, short], [short, slow]):
         assert diagnose_records(records, TIGHT).found.diagnosis.cause == Cause.AGGRESSIVE
+
+
+@pytest.mark.slow
+def test_a_long_record_is_not_averaged_over_the_swing_of_its_loop() -> None:
+    """200,000 rows of an aggressive loop were compared 49 at a time: slow integrating, with settings of Ms 3.3."""
+    rng, n = np.random.default_rng(4), 60_000
+    setpoint = np.where(np.arange(n) // 300 % 2, 5.0, 0.0)
+    long = pi_loop(TIGHT, Lag(20.0, 4), setpoint, 0.1 * rng.standard_normal(n), np.zeros(n))
+    found = compared([long], TIGHT, 1, OddsSettings())
+    assert found is not None
+    assert found.dt_s <= TIGHT.kp / TIGHT.ki / 10
