@@ -99,7 +99,7 @@ def foreseen(
     error, travel = [], []
     for model, _ in processes:
         rule = gains or robust_simc_on(model, (), whole[0].sample_time_s, RobustSettings(), active).tuning.gains
-        then = [replayed(one, model.linear(), rule, limits) for one in whole]
+        then = [replayed(one, model.linear(), rule, limits, active) for one in whole]
         error.append(float(spans_s @ [one.error for one in then]))
         travel.append(sum(one.travel for one in then))
     if gains is not None and not math.isfinite(error[0]):

@@ -74,13 +74,18 @@ def even(window: Window, most: int = MOST_SAMPLES) -> Window:
 
 
 def replayed(
-    window: Window, process: LinearProcess, gains: PidGains, co_limits: tuple[float | None, float | None] = (None, None)
+    window: Window,
+    process: LinearProcess,
+    gains: PidGains,
+    co_limits: tuple[float | None, float | None] = (None, None),
+    active: PidGains | None = None,
 ) -> ReplayedRecord:
-    """The record with these settings in the loop, from the first sample on, taken over without a bump.
+    """The record with these settings in the loop, from the first sample on.
 
     window : on an even grid (`even`). process : that was identified on it. gains : the settings to try.
-    co_limits : lowest and highest co, co units; None where there is none. The derivative is filtered by a tenth of
-        its time.
+    co_limits : lowest and highest co, co units; None where there is none. active : in force on record, whose integral
+        is taken over: a record may begin with the step of co at a setpoint step. Without them co is. The derivative is
+        filtered by a tenth of its time.
 
     Raises ValueError: the process has more zeros than poles, or the limits leave no room.
     """
@@ -94,7 +99,8 @@ def replayed(
     was = list(zip(window.sp.tolist(), window.pv.tolist(), window.co.tolist(), strict=True))
     far = WILD * max(float(np.ptp(window.pv)), float(np.ptp(window.sp)), 1e-9)
     plant, moved = HeldInput(process, dt_s), 0.0
-    state: tuple[float, float, float, float, int] = start(pid, *was[0])
+    first = was[0][2] + (gains.kp - active.kp if active else 0.0) * (was[0][0] - was[0][1])
+    state: tuple[float, float, float, float, int] = start(pid, *was[0][:2], first)
     pv, co = np.full(len(was), np.nan), np.full(len(was), np.nan)
     for i, (wanted, free, before) in enumerate(was):
         if not abs(moved) < far:
@@ -132,11 +138,13 @@ def before_after(
     processes: Sequence[LinearProcess],
     gains: PidGains,
     co_limits: tuple[float | None, float | None] = (None, None),
+    active: PidGains | None = None,
 ) -> BeforeAfter:
     """A record before and after a change of settings; processes : the best first. Errors as `replayed`."""
     record = even(window)
     most = min(max(MOST_STEPS // len(record.t_s), FEWEST_MODELS), MOST_MODELS)
-    return BeforeAfter(record, tuple(replayed(record, one, gains, co_limits) for one in spread(processes, most)))
+    each = (replayed(record, one, gains, co_limits, active) for one in spread(processes, most))
+    return BeforeAfter(record, tuple(each))
 
 
 def spread(processes: Sequence[LinearProcess], most: int) -> tuple[LinearProcess, ...]:

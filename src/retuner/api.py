@@ -334,7 +334,7 @@ def _followed(
         told = _no_farther(replace(told, margins_in_force=margins(estimate.log.model().linear(), gains)), window, gains)
     if open_loop:
         return told
-    return replace(told, foreseen=foreseen([window], weighed_models(estimate)[:FEW], told.recommended))
+    return replace(told, foreseen=foreseen([window], weighed_models(estimate)[:FEW], told.recommended, gains))
 
 
 FEW = 5  # processes of one that is known, on which its settings are tried

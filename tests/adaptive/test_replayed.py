@@ -48,6 +48,13 @@ def test_a_replay_is_the_run_that_would_have_been(process: LinearProcess) -> Non
     assert found.travel == pytest.approx(float(np.sum(np.abs(np.diff(expected.co)))))
 
 
+def test_a_record_that_begins_with_a_setpoint_step_is_not_taken_over_at_the_kick_of_its_controller() -> None:
+    load, upset = np.zeros(900), np.zeros(900)
+    recorded, expected = run(LAGS, OLD, load, upset), run(LAGS, NEW, load, upset)
+    cut = recorded.part(slice(200, None))
+    np.testing.assert_allclose(replayed(cut, LAGS, NEW, (0.0, 100.0), OLD).pv, expected.pv[200:], atol=1e-6)
+
+
 def test_the_level_of_a_tank_is_replayed_too() -> None:
     load, upset = loads()
     old, new = PidGains(-2.0, -0.004), PidGains(-4.0, -0.02)

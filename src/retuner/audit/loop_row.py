@@ -292,7 +292,7 @@ def _foreseen(cure: RecordDiagnosis, records: Sequence[Window]) -> Foreseen | No
     interval_s = min(record.sample_time_s for record in records)
     gains = (cure.settings or robust_simc(estimate, interval_s, rule).tuning).gains
     allowed = replace(estimate, plausible=tuple(believed(estimate.plausible, rule.believed)))
-    return foreseen(records, weighed_models(allowed), gains)
+    return foreseen(records, weighed_models(allowed), gains, cure.active)
 
 
 def _settings(cure: RecordDiagnosis | None) -> Row | None:

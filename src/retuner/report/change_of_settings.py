@@ -40,7 +40,7 @@ class ShownChange:
     @property
     def found(self) -> BeforeAfter:
         """The record before and after, on each process."""
-        return before_after(self.window, self.processes, self.recommended, self.co_limits)
+        return before_after(self.window, self.processes, self.recommended, self.co_limits, self.active)
 
 
 def change_words(foreseen: Foreseen | None) -> str:
