@@ -143,7 +143,9 @@ def diagnose_records(
     under_steps, weight = _under_steps(open_ones, under_walk, whole, walk, known, settings)
     most = 1.0 - (1.0 - settings.most) / len(open_ones)
     causes = _mixed(under_steps, under_walk, weight, most)
-    return replace(_verdict(told, causes, weight, odds, walk, open_ones, settings, sure=gains is not None), record=at)
+    limits = (co_min, co_max)
+    verdict = _verdict(told, causes, weight, odds, walk, open_ones, settings, limits, sure=gains is not None)
+    return replace(verdict, record=at)
 
 
 def _final(window: Window, found: RecordVerdict) -> bool:
@@ -399,12 +401,13 @@ def _verdict(
     walk: Walk,
     open_ones: Sequence[tuple[Window, RecordVerdict]],
     settings: OddsSettings,
+    limits: tuple[float | None, float | None],
     *,
     sure: bool,
 ) -> OddsFound:
     """The most probable cause, in words, with settings where they are worth having.
 
-    sure : the gains in force are known, not roughly only.
+    limits : of co where known. sure : the gains in force are known, not roughly only.
     """
     cause, p = next(iter(causes.items()))
     shares = {str(c): q for c, q in causes.items()}
@@ -419,19 +422,18 @@ def _verdict(
     if by_fit and (told.tuning is not None or worth is None):
         return OddsFound(replace(told, diagnosis=replace(told.diagnosis, confidence=p, causes=shares)), odds)
     evidence = {name: value for name, value in told.diagnosis.evidence.items() if name not in OF_ONE_MODEL}
-    test = None
+    test, window = None, next(w for w, f in open_ones if f is told)
     if odds is not None:
         tone = told.fits.get("external")
         swing_s = tone_period_s(tone) if math.isnan(walk.period_s) and tone is not None else walk.period_s
         evidence |= _ms_range(odds) | ({} if math.isnan(swing_s) else {"swing_s": swing_s})
         # before gains change a step confirms what loads alone told
         if p < settings.undecided or (cause in TUNING_CAUSES and (worth is None or by_loads)):
-            test = _next(causes, odds, walk, open_ones[0][0], settings)
+            test = _next(causes, odds, walk, open_ones[0][0], limits, settings)
     if cause == Cause.NONLINEAR:
         evidence, test = evidence | {"gain_ratio": walk.along.ratio}, None
     reason = _bends(walk.along) if cause == Cause.NONLINEAR else _reason(cause, odds, evidence, told)
     reason = f"perhaps {reason}" if cause in WORDS and p < settings.due_odds else reason
-    window = next(w for w, f in open_ones if f is told)
     reason += not_brought_back(window) * (cause in {Cause.OK, Cause.SLUGGISH})
     overshoot = evidence.get("overshoot", 0.0)
     if cause not in BEHIND and overshoot > OVERSHOOTS and OVERSHOOT not in reason:
@@ -451,20 +453,34 @@ OF_ONE_MODEL = frozenset({"ms", "gm", "pm_deg", "ki_ratio", "kp_ratio"})
 
 
 def _next(
-    causes: Mapping[Cause, float], odds: TuningOdds, walk: Walk, window: Window, settings: OddsSettings
+    causes: Mapping[Cause, float],
+    odds: TuningOdds,
+    walk: Walk,
+    window: Window,
+    limits: tuple[float | None, float | None],
+    settings: OddsSettings,
 ) -> DecidingTest | None:
     """The deciding test: a setpoint step, which shows tuning and valve, or steps of co where no such step decides.
 
-    None for a loop that cannot be moved by its setpoint, whose error never moves, or where no test is likely to decide.
+    None for a loop that cannot be moved by its setpoint, whose error never moves, or where no test that co has room for
+    is likely to decide. limits : of co where known.
     """
     error_std = float(np.std(window.sp - window.pv))
     if not (odds.gains.kp or odds.gains.ki) or not error_std > 0:
         return None
-    test, valve = deciding_test(odds, walk.record, error_std), causes[Cause.STICTION] >= IN_QUESTION
-    if test is None:
-        return valve_test(odds, walk.record, float(np.std(window.co))) if valve else None
+    up, down = _room(window.co, limits)
+    valve = causes[Cause.STICTION] >= IN_QUESTION
     plain = valve or next(iter(causes.values())) >= settings.undecided
-    return replace(test, size=max(test.size, PLAIN * error_std)) if plain else test
+    test = deciding_test(odds, walk.record, error_std, max(up, down), PLAIN if plain else 0.0)
+    return valve_test(odds, walk.record, float(np.std(window.co)), up) if test is None and valve else test
+
+
+def _room(co: FloatArray, limits: tuple[float | None, float | None]) -> tuple[float, float]:
+    """How far co may go up and down from where it was; without limits it is in percent, or the share of a whole."""
+    low, high, usual = float(np.min(co)), float(np.max(co)), float(np.mean(co))
+    likely = (0.0, 1.0 if high <= 1.0 else 100.0) if low >= 0.0 and high <= 100.0 else (-math.inf, math.inf)
+    least, most = (likely[i] if one is None else one for i, one in enumerate(limits))
+    return most - usual, usual - least
 
 
 PLAIN = 4.0  # Usual errors of a step that confirms a cause which loads alone seem to show
@@ -577,4 +593,5 @@ def _reason(cause: Cause, odds: TuningOdds | None, evidence: Mapping[str, float]
         return told.diagnosis.reason if told.diagnosis.cause == cause else WORDS[cause]
     low, middle, high = (evidence[name] for name in ("ms_low", "ms", "ms_high"))
     most = "or more" if high >= MS_SHOWN else f"to {high:.2f}"
-    return f"{WORDS[cause]}: Ms {middle:.2f} (90 % range {low:.2f} {most}) with the active gains"
+    band = f" (90 % range {low:.2f} {most})" if f"{low:.2f}" != f"{high:.2f}" else ""
+    return f"{WORDS[cause]}: Ms {middle:.2f}{band} with the active gains"

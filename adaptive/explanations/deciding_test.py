@@ -47,24 +47,30 @@ SHORTEST, LONGEST = 30, 250  # samples that the step is held
 SETTLED = 0.05
 
 
-def deciding_test(odds: TuningOdds, record: Prepared, error_std: float) -> DecidingTest | None:
+def deciding_test(
+    odds: TuningOdds, record: Prepared, error_std: float, room: float = math.inf, least: float = 0.0
+) -> DecidingTest | None:
     """The smallest setpoint step that is likely to decide; None where none is.
 
-    error_std : standard deviation of pv from its setpoint, pv units.
+    error_std : standard deviation of pv from its setpoint, pv units. room : how far co can go, which half of the
+    processes do not exceed. least : size below which none is proposed, in standard deviations.
     """
     load, std = _load(odds, record)
     drawn, weight, kinds = _drawn(odds)
     hold = _hold(odds, drawn, weight)
-    energy = _energies(odds, drawn, hold, load) * (error_std / std) ** 2
+    setpoint = np.concatenate([np.ones(hold), np.zeros(hold)])
+    co = np.array([_closed_loop(odds, true, setpoint)[1] for true in drawn])
+    energy = _energies(drawn, co, load) * (error_std / std) ** 2
     decides = [_decides(energy * size**2, weight, kinds) for size in SIZES]
-    return _smallest(TestKind.SETPOINT, error_std, hold * odds.sample_time_s, decides)
+    most = room / quantile(np.max(np.abs(co), axis=1), weight, 0.5)
+    return _smallest(TestKind.SETPOINT, error_std, hold * odds.sample_time_s, decides, most, least)
 
 
-def valve_test(odds: TuningOdds, record: Prepared, co_std: float) -> DecidingTest | None:
+def valve_test(odds: TuningOdds, record: Prepared, co_std: float, room: float = math.inf) -> DecidingTest | None:
     """The smallest steps of co in manual at which a pv that follows is told from one behind a valve that stays.
 
     A pv that follows shows D of the head of this file between the process's answer and none; a valve that stays shows
-    none. co_std : standard deviation of co in the record, co units.
+    none. co_std : standard deviation of co in the record, co units. room : how far co can go up.
     """
     load, std = _load(odds, record)
     group, weight, _ = _drawn(odds)
@@ -74,18 +80,24 @@ def valve_test(odds: TuningOdds, record: Prepared, co_std: float) -> DecidingTes
     shown = [filtered(spectrum(_answer(process, co)), len(co), white) for process in group]
     energy = np.array([float(d @ d) for d in shown]) * (co_std / std) ** 2
     decides = [float(weight @ _reaches(energy * size**2, energy * size**2 / (2 * T_SETPOINT))) for size in SIZES]
-    return _smallest(TestKind.VALVE, co_std, hold * odds.sample_time_s, decides)
+    return _smallest(TestKind.VALVE, co_std, hold * odds.sample_time_s, decides, room / 2.0)
 
 
-def _smallest(kind: TestKind, std: float, hold_s: float, decides: Sequence[float]) -> DecidingTest | None:
-    """The smallest test that is likely to decide. std : what SIZES count. decides : the probability at each of them."""
-    at = next((i for i, share in enumerate(decides) if share >= ENOUGH_TO_DECIDE), len(SIZES) - 1)
-    if decides[at] < LEAST_TO_DECIDE:
+def _smallest(
+    kind: TestKind, std: float, hold_s: float, decides: Sequence[float], most: float, least: float = 0.0
+) -> DecidingTest | None:
+    """The smallest test that is likely to decide. std : what SIZES count. decides : the probability at each of them.
+    most : largest size, in units. least : smallest one, in std.
+    """
+    possible = [share for size, share in zip(SIZES, decides, strict=True) if size * std <= most]
+    at = next((i for i, share in enumerate(possible) if share >= ENOUGH_TO_DECIDE), len(possible) - 1)
+    if not possible or possible[at] < LEAST_TO_DECIDE:
         return None
-    size, unit = SIZES[at] * std, 0.0
-    if size > 0:  # to two digits, upwards: people set such steps
+    size, unit = min(max(SIZES[at], least) * std, most), 0.0
+    if size > 0:  # to two digits, upwards where there is room: people set such steps
         unit = 10.0 ** (math.floor(math.log10(size)) - 1)
-        size = math.ceil(size / unit - 1e-9) * unit
+        up = math.ceil(size / unit - 1e-9) * unit
+        size = up if up <= most else math.floor(size / unit + 1e-9) * unit
     return DecidingTest(kind, size if unit else 0.0, hold_s, decides[at])
 
 
@@ -160,11 +172,9 @@ def _closed_loop(odds: TuningOdds, process: _Process, setpoint: FloatArray) -> t
     return np.array(pv), np.array(co)
 
 
-def _energies(odds: TuningOdds, drawn: Sequence[_Process], hold: int, load: LoadModel) -> FloatArray:
+def _energies(drawn: Sequence[_Process], co: FloatArray, load: LoadModel) -> FloatArray:
     """D for a step of s out and back, of each process that is true under its own co: shape (true, processes)."""
-    setpoint = np.concatenate([np.ones(hold), np.zeros(hold)])
-    co = np.array([_closed_loop(odds, true, setpoint)[1] for true in drawn])
-    n, impulse = len(setpoint), np.append(1.0, np.zeros(len(setpoint) - 1))
+    n, impulse = co.shape[1], np.append(1.0, np.zeros(co.shape[1] - 1))
     passed = spectrum(filtered(spectrum(co), n, impulse_response(load.a, load.c, n)))
     answers = np.array([filtered(passed, n, _answer(process, impulse)) for process in drawn])
     own = answers[np.arange(len(drawn)), np.arange(len(drawn))]

@@ -231,6 +231,10 @@ def with_gain(told: Diagnosis, saved: Foreseen | None) -> Diagnosis:
     if saved is None or told.cause not in {Cause.OK, Cause.SLUGGISH} or (saved.given and not little):
         return told
     which = "these settings would" if saved.given else "if the process were known, the best settings would"
-    band = " only: nothing is due" if little else f" ({100.0 * saved.least:.0f} to {100.0 * saved.most:.0f} %)"
+    band = f" ({100.0 * saved.least:.0f} to {100.0 * saved.most:.0f} %)" if saved.most - saved.least > BAND else ""
+    band = " only: nothing is due" if little else band
     reason = f"{told.reason}; {which} take away {100.0 * saved.saved:.0f} % of the error{band}"
     return replace(told, reason=reason, settled=told.settled and not little)
+
+
+BAND = 0.01  # a narrower range of the share is not told

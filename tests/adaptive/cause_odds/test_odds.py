@@ -417,7 +417,7 @@ def test_settings_of_a_single_fit_ask_for_the_odds_that_all_settings_do(p: float
     told = RecordVerdict(Diagnosis(Cause.AGGRESSIVE, 0.9, {}, "by its margins", settled=True), tuning=tuning)
     walk = cast("odds.Walk", SimpleNamespace(moved=0.0, period_s=math.nan))
     causes, window = {Cause.AGGRESSIVE: p, Cause.OK: 1.0 - p}, loop()
-    found = odds._verdict(told, causes, 0.9, None, walk, [(window, told)], OddsSettings(), sure=True)
+    found = odds._verdict(told, causes, 0.9, None, walk, [(window, told)], OddsSettings(), (None, None), sure=True)
     assert (found.found.tuning is not None) is by_fit
 
 

@@ -190,6 +190,19 @@ def test_no_test_is_proposed_that_hardly_decides_anything() -> None:
     assert valve_test(odds, record, 1e-3 * float(np.std(record.co))) is None
 
 
+def test_no_test_is_larger_than_co_has_room_for() -> None:
+    """A valve at 51 % was to be opened by twice 110 %, and a fan's pressure to be doubled."""
+    odds, record = odds_of(1.0, step=0.0)
+    error_std, co_std = float(np.std(record.pv)), float(np.std(record.co))
+    free, open_valve = deciding_test(odds, record, error_std), valve_test(odds, record, co_std)
+    assert free is not None
+    assert open_valve is not None
+    tight, half_open = deciding_test(odds, record, error_std, 0.6 * free.size), valve_test(odds, record, co_std, 2.5)
+    assert tight is None or tight.size * odds.gains.kp <= 0.6 * free.size < free.size
+    assert half_open is None or half_open.size <= 1.25
+    assert deciding_test(odds, record, error_std, 0.1 * error_std) is None
+
+
 def test_the_valve_test_is_in_units_of_co() -> None:
     odds, record = odds_of(1.0, step=0.0)
     found = valve_test(odds, record, float(np.std(record.co)))

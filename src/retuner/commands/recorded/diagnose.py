@@ -312,7 +312,7 @@ def _process_lines(found: DiagnosedRecord) -> list[str]:
         for name, value in {"k": model.k, **model.times_s, "theta": model.theta_s}.items()
         if value
     )
-    among = f", the most likely of {len(found.result.likely)}" if found.result.likely else ""
+    among = f", the most likely of {len(found.result.likely)}" if len(found.result.likely) > 1 else ""
     return [f"{'process':<{NAME}}{model.type}, {', '.join(numbers)}{among}"]
 
 
