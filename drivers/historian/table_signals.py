@@ -3,6 +3,7 @@
 A wide table has a column for each signal; a long one has a row for each value, with the signal's tag in it.
 """
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import PurePath
 from types import MappingProxyType
@@ -25,6 +26,8 @@ from retuner.drivers.recorded.recording import NUMBER, RecordingError
 from retuner.schedule.late_dataclass import dataclass, field, replace
 
 HELD_FROM = 0.05  # share of blanks from which a column is stored by exception and not full of faults
+FILLER = re.compile(r"-?9{3,}|-?1e\+3[0-9]")  # numbers that systems write for a value that they did not get
+FAR_OUT = 3.0  # ranges of all other values by which such a number lies off them
 BESIDE = ("t", "date", "quality", "mode", "tag")  # roles of columns that hold no signal
 MANUAL = ("man", "hand", "off", "iman", "lo", "track", "init")
 """How words of modes begin in which the controller has not the valve."""
@@ -299,7 +302,7 @@ def _trends(
     plain_clock = clock.as_they_stand and bool(good_rows.all())
     for role, place in roles.items():
         _tell_unit(table, place, role, told)
-        values = numbers(table, place, decimal, form)
+        values = _without_filler(numbers(table, place, decimal, form), role, told)
         everything = plain_clock and all_finite(values)
         # a blank beside the loop takes no row from it
         held = not everything and (role in form.others or (role != "pv" and _stored_by_exception(table, place)))
@@ -315,6 +318,18 @@ def _trends(
             known = (np.isfinite(values) & good_rows)[clock.rows]
             trends[role] = OneSignal(clock.t_s[known], values[clock.rows][known], held)
     return trends
+
+
+def _without_filler(values: FloatArray, role: str, told: list[Assumption]) -> FloatArray:
+    """The values, nan for -9999 and the like, by which systems fill what they did not get: far from all the others."""
+    for end in {float(np.nanmin(values)), float(np.nanmax(values))} if np.isfinite(values).any() else ():
+        others = values[np.isfinite(values) & (values != end)]
+        if not FILLER.fullmatch(f"{end:g}") or len(others) < len(values) / 2:
+            continue
+        if min(abs(end - float(f(others))) for f in (np.min, np.max)) > FAR_OUT * max(float(np.ptp(others)), 1.0):
+            told.append(Assumption(f"{end:g} of {role} stands for a missing value", f'bad = ["{end:g}"]'))
+            values = np.where(values == end, np.nan, values)
+    return values
 
 
 def _tell_unit(table: RawTable, place: int, role: str, told: list[Assumption]) -> None:

@@ -13,7 +13,7 @@ from retuner.schedule.late_dataclass import dataclass
 
 WORDS = MappingProxyType(
     {
-        "t": "t time times timestamp timestamps datetime stamp zeit zeitstempel sampletime uhrzeit tagnames",
+        "t": "t ts time times timestamp timestamps datetime stamp zeit zeitstempel sampletime uhrzeit tagnames",
         "date": "date datum",
         "pv": "pv processvalue processvariable measurement measured meas istwert ist actual pvalue",
         "sp": "sp sv setpoint internalsetpoint setpt setp spt wsp sollwert soll target reference setvalue",

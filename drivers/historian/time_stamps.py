@@ -53,6 +53,8 @@ DAY_S = 86_400.0
 HOUR_S = 3600.0
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 SHOWN = 3
+MONTHS_LEFT_OUT = 10.0  # times as long as with days in the right place; a day that is taken for a month makes it 30
+DATED = re.compile("%[aAbBcdDeFjmuUVwWxyYgGs]")  # codes of strptime that tell a date
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +110,13 @@ def from_text(
     joined = [f"{d.strip()} {f.strip()}" for d, f in zip(days, fields, strict=True)] if days is not None else fields
     texts = [text.strip() for text in joined]
     if form.time_format:
-        return Stamps(_of_format(texts, form, source, begins))
+        times = _of_format(texts, form, source, begins)
+        return Stamps(times if DATED.search(form.time_format) else _over_midnight(times))
+    if any(texts) and all(TIME_OF_DAY.fullmatch(text) for text in texts if text):
+        times = _timed(
+            [f"2000-01-01 {text}" if text else "" for text in texts], _reader("%Y-%m-%d"), form, source, begins
+        )
+        return Stamps(_over_midnight(times), (Assumption("times of day without a date: after midnight the next day"),))
     if all(DIGITS.fullmatch(text) for text in texts[:SHOWN]):
         told = Assumption("stamps as digits of date and time", 'time_format = "%Y%m%d%H%M%S"')
         return Stamps(_timed(texts, _digits, form, source, begins), (told,))
@@ -123,6 +131,13 @@ def from_text(
         what = f"{found.assumed[0].what}, {', '.join(sorted(set(others.values())))} as {form.zone}"
         return Stamps(found.t_s, (Assumption(what),))
     return found
+
+
+def _over_midnight(t_s: FloatArray) -> FloatArray:
+    """Times of day that go on into the next day, whichever way the rows run; nan where a row has none."""
+    known = np.isfinite(t_s)
+    t_s[known] = np.unwrap(t_s[known], period=DAY_S)
+    return t_s
 
 
 def _other_zone(text: str) -> str:
@@ -152,7 +167,7 @@ def _of_usual_forms(texts: list[str], form: RecordForm, source: str, begins: Seq
         raise RecordingError(
             f"{source}: time {shown[:40]!a} has an unknown format; give --time-format, for example %d.%m.%Y %H:%M:%S"
         )
-    (first, times), *others = _nearest_years(fitting).items()
+    (first, times), *others = _without_months_left_out(_nearest_years(fitting)).items()
     whole = quoted(_whole(first, texts[0]))
     for other, elsewhere in others:
         if not np.allclose(elsewhere - elsewhere[0], times - times[0], atol=1e-3, equal_nan=True):
@@ -182,6 +197,16 @@ def _nearest_years(fitting: dict[str, FloatArray]) -> dict[str, FloatArray]:
     if span(first) == span(last):
         return fitting
     return {form: fitting[form] for form in (first if span(first) < span(last) else last)}
+
+
+def _without_months_left_out(fitting: dict[str, FloatArray]) -> dict[str, FloatArray]:
+    """The forms without those that take days for months: where rows follow within the hour, a midnight lasts a month."""
+    known = {form: t_s[np.isfinite(t_s)] for form, t_s in fitting.items()}
+    spans = {form: float(np.ptp(t_s)) for form, t_s in known.items()}
+    nearest = min(spans, key=lambda form: spans[form])
+    if len(known[nearest]) < SHOWN or median(np.abs(np.diff(known[nearest]))) > HOUR_S:
+        return fitting
+    return {form: t_s for form, t_s in fitting.items() if spans[form] <= MONTHS_LEFT_OUT * spans[nearest]}
 
 
 def _first_unfit(texts: Sequence[str]) -> int:

@@ -364,13 +364,22 @@ def test_what_is_no_record_or_may_be_two_is_refused_in_one_line(written, content
 
 
 def test_a_day_that_may_be_a_month_is_asked_for_only_where_it_matters(written: Callable[..., Path]) -> None:
-    night = datetime(2024, 3, 4, 23, 55)  # noqa: DTZ001  a plant's clock has no zone
-    asked = written(text("Time,SP,PV,OP", stamps("%d/%m/%Y %H:%M:%S", night), SP, PV, CO))
+    rare = [f"{i % 12 + 1:02d}/{i % 2 + 1:02d}/{2000 + i // 12} 00:00:00" for i in range(N)]
+    asked = written(text("Time,SP,PV,OP", rare, SP, PV, CO))
     with pytest.raises(RecordingError, match=r'may be %d/%m/%Y or %m/%d/%Y; give --time-format "%d/%m/%Y %H:%M:%S"'):
         read_loop_record([asked])
-    is_the_loop(read_loop_record([asked], RecordForm(time_format="%d/%m/%Y %H:%M:%S")))
-    noon = datetime(2024, 3, 4, 12, 0)  # noqa: DTZ001  a plant's clock has no zone
-    is_the_loop(read_loop_record([written(text("Time,SP,PV,OP", stamps("%d/%m/%Y %H:%M:%S", noon), SP, PV, CO))]))
+    for hour, minute in ((12, 0), (23, 55)):  # a month would be left out at midnight
+        begin = datetime(2024, 3, 4, hour, minute)  # noqa: DTZ001  a plant's clock has no zone
+        for form in ("%d/%m/%Y %H:%M:%S", "%m/%d/%Y %I:%M:%S %p"):
+            is_the_loop(read_loop_record([written(text("Time,SP,PV,OP", stamps(form, begin), SP, PV, CO))]))
+
+
+def test_times_of_day_without_a_date_go_on_after_midnight(written: Callable[..., Path]) -> None:
+    path = written(text("time,SP,PV,OP", stamps("%H:%M:%S"), SP, PV, CO))
+    is_the_loop(read_loop_record([path]))
+    is_the_loop(read_loop_record([path], RecordForm(time_format="%H:%M:%S")))
+    back = written(text("ts,SP,PV,OP", stamps("%I:%M:%S %p")[::-1], SP[::-1], PV[::-1], CO[::-1]))
+    is_the_loop(read_loop_record([back]))
 
 
 def test_what_was_assumed_can_be_fixed_by_its_own_words(tmp_path: Path, written: Callable[..., Path]) -> None:
@@ -512,10 +521,16 @@ def test_the_option_that_a_refusal_names_answers_it(written: Callable[..., Path]
         read_loop_record([path], RecordForm(decimal=".", columns={"quality": "fit"}))
 
 
-def test_a_number_that_stands_for_a_missing_value_is_left_out_where_that_is_said(written: Callable[..., Path]) -> None:
-    path = written(text("t,sp,pv,co", T, SP, [-9999 if i == 7 else v for i, v in enumerate(PV)], CO))
+@pytest.mark.parametrize("filler", ["-9999", "99999.00", "1e31", "-999"])
+def test_a_number_that_stands_for_a_missing_value_is_left_out(written: Callable[..., Path], filler: str) -> None:
+    read = read_loop_record([written(text("t,sp,pv,co", T, SP, [filler, *PV[1:40], filler, *PV[41:]], CO))])
+    assert 40 < read.recording.pv.min() < read.recording.pv.max() < 60
+    assert in_a_line(read.assumed).endswith("of pv stands for a missing value; 2 values of pv missing: left out")
+    near = written(text("t,sp,pv,co", T, 18 * SP, [999, *(18 * PV[1:])], CO))
+    assert read_loop_record([near]).recording.pv[0] == 999  # a value like the others
 
-    assert read_loop_record([path], RecordForm(bad=("-9999",))).recording.pv.min() > 0
+    said = written(text("t,sp,pv,co", T, SP, [-77 if i == 7 else v for i, v in enumerate(PV)], CO))
+    assert read_loop_record([said], RecordForm(bad=("-77",))).recording.pv.min() > 0
 
 
 def test_blank_lines_of_a_spreadsheet_are_no_rows_and_a_missing_stamp_is_told(written: Callable[..., Path]) -> None:

@@ -76,8 +76,8 @@ def read_several(files: Sequence[Path], options: FormOptions) -> list[LoopRecord
 
 
 def days_told(days: int, records: int) -> tuple[Assumption, ...]:
-    """Words where records were read day by day."""
-    told = f"{days} days, each a record of its own: nights without samples, or with the controller off, left out"
+    """Words where records were read in parts."""
+    told = f"{days} parts, each a record of its own: gaps without samples, or with the controller off, left out"
     return (Assumption(told),) if days > records else ()
 
 
