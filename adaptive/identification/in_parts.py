@@ -21,6 +21,7 @@ from retuner.adaptive.signals.sample import Window
 
 SHORTEST = 150  # samples of a part
 MOST_PARTS = 8
+MOST_FITTED = 24  # parts that are fitted: of a longer record those in which pv moves most
 LEAD = 10  # Samples of a part before the setpoint moves in it, which show where the loop stood
 FEWEST_PARTS = 2
 MOST_APART = 1.0
@@ -34,7 +35,7 @@ def identify_parts(window: Window, sign: int | None) -> ModelEstimate | None:
     sign : of the process gain, where it is known.
     """
     settings = FitSettings()
-    parts = [part for part in parts_of(window, settings.most_samples) if np.ptp(part.pv) > 0 and np.ptp(part.co) > 0]
+    parts = moved_most(parts_of(window, settings.most_samples))
     if len(parts) < FEWEST_PARTS:
         return None
     alone = [(part, identify_window(part, sign, settings=settings)) for part in parts]
@@ -50,6 +51,12 @@ def identify_parts(window: Window, sign: int | None) -> ModelEstimate | None:
     if any(apart(model, one.log.model(), dt) > MOST_APART for one in known):
         return None
     return joint if joint.identifiable else None
+
+
+def moved_most(parts: list[Window]) -> list[Window]:
+    """Those parts, MOST_FITTED at the most, in which pv moves most and co does as well, in their order."""
+    moving = [i for i, part in enumerate(parts) if np.ptp(part.pv) > 0 and np.ptp(part.co) > 0]
+    return [parts[i] for i in sorted(sorted(moving, key=lambda i: -float(np.ptp(parts[i].pv)))[:MOST_FITTED])]
 
 
 def parts_of(window: Window, most_samples: int) -> list[Window]:
