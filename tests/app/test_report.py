@@ -171,6 +171,15 @@ def test_ms_counts_the_filter_of_the_derivative() -> None:
     assert ms(20.0) == pytest.approx(1.1, abs=0.3)
 
 
+def test_a_run_that_was_stopped_is_compared_with_as_much_of_the_one_with_fixed_gains() -> None:
+    """An error of 1,049 in half the time stood beside 2,282 in all of it."""
+    gains, n = from_form("series", 1.0, 50.0, 0.0), 100
+    fixed = {name: np.zeros(n) for name in ("pv", "region")} | {"t": np.arange(float(n)), "sp": np.ones(n)}
+    run = {name: x[:40] for name, x in fixed.items()}
+    score = region_scores(table(gains), table(gains), [], run, fixed, None, 1.0)[0]
+    assert score.iae_fixed == score.iae == 39.0
+
+
 def test_a_load_under_which_the_region_was_only_left_is_no_operating_point() -> None:
     """Four samples until the border is crossed, in less than the dead time: nothing comes back in them."""
     n, gains = 100, from_form("series", 1.0, 50.0, 0.0)

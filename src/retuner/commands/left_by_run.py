@@ -86,7 +86,8 @@ def leave(
     decisions = sum(len(loop.decisions) for loop in session.loops)
     changes = sum(len(loop.changes) for loop in session.loops)
     done = f"{counted(decisions, 'decision')}, {counted(changes, 'change')} of gains"
-    screen.say(f"{done}; report: {folder / REPORT}")
+    made = not any(line.startswith(str(folder / REPORT)) for line in job.unwritten.lines)
+    screen.say(f"{done}; report: {folder / REPORT}" if made else done)
     screen.say(f"ledger head {ledger.head()}")
     several = job.config.several
     about = rows_by_loop(ledger.rows(), job.config.names)

@@ -77,11 +77,13 @@ def region_scores(
 ) -> list[RegionScore]:
     """Score every region.
 
-    before, after : gain tables. commits : (time, region) of each change. run, fixed : trends by column.
+    before, after : gain tables. commits : (time, region) of each change. run, fixed : trends by column, of which the
+        second counts as far as the first goes, which may have been stopped.
     linearise : true linear process at a pv, where the plant is simulated. tau_f_s : filter of the derivative, s.
     loads : load on the plant in each row of run, percent; None for none.
     """
     scores = []
+    fixed = fixed and {name: x[fixed["t"] <= run["t"][-1]] for name, x in fixed.items()}
     for i, name in enumerate(before.regions.names):
         inside = np.flatnonzero(run["region"] == i)
         truths: list[Truth] = []  # over the setpoints visited, under each load that was on it
