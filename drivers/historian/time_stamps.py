@@ -200,7 +200,7 @@ def _nearest_years(fitting: dict[str, FloatArray]) -> dict[str, FloatArray]:
 
 
 def _without_months_left_out(fitting: dict[str, FloatArray]) -> dict[str, FloatArray]:
-    """The forms without those that take days for months: where rows follow within the hour, a midnight lasts a month."""
+    """The forms without those that take days for months: of rows within the hour, a midnight then lasts a month."""
     known = {form: t_s[np.isfinite(t_s)] for form, t_s in fitting.items()}
     spans = {form: float(np.ptp(t_s)) for form, t_s in known.items()}
     nearest = min(spans, key=lambda form: spans[form])

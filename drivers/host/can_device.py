@@ -294,7 +294,7 @@ class CanDevice:
         reason = self._contact.lost(now_s, self.link.state)
         if self.machine.phase is ConnectPhase.SEARCHING or not reason:
             if self._contact.in_vain(now_s):
-                silent = f"no answer within {self.settings.connect_s:g} s; "
+                silent = f"no answer within {self.settings.connect_s:g} s of the loop's time; "
                 silent += "is the device running there, under this node number?"
                 raise DeviceSilentError(f"{self._where}: {TWO_DEVICES if self._belief.in_conflict else silent}")
             return

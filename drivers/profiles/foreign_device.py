@@ -383,7 +383,7 @@ class ForeignDevice:
                     heard = self._contact.heard_s > -math.inf
                     what = "it is there, but its gains could not be read" if heard else "it is there, but no pv came"
                 raise DeviceSilentError(
-                    f"{self.settings.where}: {what} within {self.settings.connect_s:g} s; "
+                    f"{self.settings.where}: {what} within {self.settings.connect_s:g} s of the loop's time; "
                     "is the device running there, and is this its description?"
                 )
             return

@@ -250,6 +250,8 @@ def test_a_record_with_dates_is_cut_by_them(tmp_path):
     path.write_text("\n".join(["time,sp,pv,co", *rows]), encoding="utf-8")
     read = read_loop(RecordOptions(files=[path], begin="2026-05-04T08:02", end="2026-05-04T08:05:00Z"))
     assert (read.recording.t_s[0], read.recording.t_s[-1]) == (120.0, 300.0)
+    said = refused("diagnose", str(path), "--from", "2025-05-04T08:00", "--to", "2025-05-04T09:00")
+    assert "0 samples; the record runs from 2026-05-04T08:00:00 to 2026-05-04T08:09:59" in said
 
 
 @pytest.mark.slow

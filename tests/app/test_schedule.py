@@ -101,6 +101,8 @@ def test_records_that_say_nothing_end_with_one_line_or_no(tmp_path: Path, capsys
 def test_wrong_options_are_one_line(options: list[str], named: str, tmp_path: Path) -> None:
     record = level(tmp_path / "level.csv", 60)
     assert named in refused("schedule", record, *options)
+    if options == ["--by", "flow"]:  # of two records as well, not that the second's sp is another one
+        assert 'no column "flow"' in refused("schedule", record, record, *options)
 
 
 @pytest.mark.slow

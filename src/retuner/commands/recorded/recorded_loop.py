@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, tzinfo
 
 import numpy as np
 
@@ -57,9 +57,13 @@ def _checked(read: LoopRecord, options: RecordOptions) -> LoopRecord:
         last = _moment_s(read, "--to", options.end, options.zone) if options.end else float(t_s[-1])
         kept = (t_s >= first) & (t_s <= last)
         if (left := np.count_nonzero(kept)) < FEWEST_SAMPLES:
+            dated = any("-" in text[1:] for text in (options.begin, options.end))
+            wanted, there = (
+                [_told(read, t, options.zone, dated) for t in two] for two in ((first, last), t_s[[0, -1]])
+            )
             raise UserError(
-                f"{recording.source}: from {first:g} s to {last:g} s there are {left} samples; the record runs from "
-                f"{t_s[0]:g} s to {t_s[-1]:g} s"
+                f"{recording.source}: from {wanted[0]} to {wanted[1]} there are {left} samples; the record runs from "
+                f"{there[0]} to {there[1]}"
             )
         sp = None if recording.sp is None else recording.sp[kept]
         part = Recording(recording.source, t_s[kept], recording.pv[kept], recording.co[kept], sp)
@@ -80,6 +84,19 @@ def _checked(read: LoopRecord, options: RecordOptions) -> LoopRecord:
     return read
 
 
+def _told(read: LoopRecord, t_s: float, zone: str, dated: bool) -> str:
+    """A time of the record as it was asked for: a moment, or seconds."""
+    if not dated or read.begin_s is None:
+        return f"{t_s:g} s"
+    return datetime.fromtimestamp(read.begin_s + t_s, _zone(zone)).replace(tzinfo=None).isoformat(timespec="seconds")
+
+
+def _zone(zone: str) -> tzinfo:
+    from zoneinfo import ZoneInfo
+
+    return ZoneInfo(zone) if zone else UTC
+
+
 def _moment_s(read: LoopRecord, option: str, text: str, zone: str) -> float:
     """A time of the record in its own seconds.
 
@@ -98,10 +115,7 @@ def _moment_s(read: LoopRecord, option: str, text: str, zone: str) -> float:
         raise UserError(f"{option} {text}: give seconds of the record, or a time as 2026-05-04T08:30") from None
     if read.begin_s is None:
         raise UserError(f"{option} {text}: {read.recording.source} has no dates; give seconds of the record")
-    if moment.tzinfo is None:
-        from zoneinfo import ZoneInfo
-
-        moment = moment.replace(tzinfo=ZoneInfo(zone) if zone else UTC)
+    moment = moment.replace(tzinfo=moment.tzinfo or _zone(zone))
     return moment.timestamp() - read.begin_s
 
 

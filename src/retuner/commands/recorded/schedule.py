@@ -112,8 +112,15 @@ def _read(options: ScheduleOptions, others: list[str]) -> list[LoopRecord]:
         return [read_record(options.files, options, others=others)]
     try:
         return [read_record([file], options, others=others) for file in options.files]
-    except RecordingError:
-        return [read_record(options.files, options, others=others)]
+    except RecordingError as alone:
+        try:
+            return [read_record(options.files, options, others=others)]
+        except RecordingError as together:
+            try:  # whole records, but for a column that is asked for beside the loop
+                any(read_record([file], options) is None for file in options.files)
+            except RecordingError:
+                raise together from None
+            raise alone from None
 
 
 def _in_force(path: Path) -> GainTable:
