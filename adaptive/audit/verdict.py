@@ -232,8 +232,9 @@ def loop_verdict(screen: LoopScreen, stretches: Sequence[StretchVerdict]) -> Loo
         sure, avoidable, basis = SURE_IT_WAITS, error_share(screen.harris), VerdictBasis.HARRIS
         rank = sure * max(avoidable, LEAST_BENEFIT) / EFFORT[action]
         return LoopVerdict(Cause.SLUGGISH, sure, action, reason, None, 0, len(stretches), avoidable, rank, basis)
-    if any(s.cause in {Cause.OK, Cause.NOISE} for s in stretches) and screen.swinging < SWINGS:
-        calm = [s for s in stretches if s.cause in {Cause.OK, Cause.NOISE}]
+    # at rest nothing speaks against what the other stretches are suspected of
+    calm = [s for s in stretches if s.cause is Cause.OK or (s.cause is Cause.NOISE and not faults)]
+    if calm and screen.swinging < SWINGS:
         sure = 1 - joined_confidence(best, stretches) if best is not None else max(s.confidence for s in calm)
         sure, count = min(sure, MOST_SURE), len(calm)
         return LoopVerdict(

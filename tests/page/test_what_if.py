@@ -47,7 +47,7 @@ def asked(name: str) -> tuple[Window, dict[str, Any]]:
     model = MODELS[name]
     window = record(model)
     others = (model.linear(), model.linear().seen_by_controller(2.0))
-    return window, what_if(WhatIfQuestion(window, others, model, 1.0, ACTIVE, NEW, (0.0, 100.0)))
+    return window, what_if(WhatIfQuestion(window, others, model, 1.0, ACTIVE, NEW))  # in percent
 
 
 def open_page(seen: Seen, folder: Path, what: dict[str, Any], options: str = "{}") -> None:
@@ -69,7 +69,7 @@ def test_the_engine_of_the_page_has_our_numbers(name: str, tmp_path: Path, brows
     gains = [NEW.kp, NEW.ki, NEW.kd]
     run = seen.driver.execute_script
     found = run("return replay(what, what.models[0].record, arguments[0])", gains)
-    ours = replayed(even(window), MODELS[name].linear(), NEW, (0.0, 100.0))
+    ours = replayed(even(window), MODELS[name].linear(), NEW, (0.0, 100.0), ACTIVE)
     assert found["pv"] == pytest.approx(ours.pv.tolist(), abs=1e-4)
     assert found["co"] == pytest.approx(ours.co.tolist(), abs=1e-3)
     told = run("return robustness(what.curve, what.integrators, arguments[0])", gains)

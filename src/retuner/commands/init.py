@@ -187,7 +187,7 @@ def of_record(record: Path, file: Path, given: PidGains | None) -> dict[Path, st
         math.ceil((high + RANGE_MARGIN * size) / unit) * unit,
     )
     pv_min, pv_max = float(f"{ends[0]:.9g}"), float(f"{ends[1]:.9g}")
-    answers = StarterAnswers(read.tag or record.stem, "-", pv_min, pv_max, window.sample_time_s, gains)
+    answers = StarterAnswers(read.tag or record.stem, "units", pv_min, pv_max, window.sample_time_s, gains)
     text = _composed(answers, f"of {record.name}: range of pv with room, interval and gains as the record shows them")
     with user_input(str(record)):
         found = identify_record(window, gains=gains)

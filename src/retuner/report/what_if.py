@@ -15,6 +15,7 @@ from importlib.resources import files
 
 import numpy as np
 
+from retuner.adaptive.choice.foreseen import PERCENT
 from retuner.adaptive.loop.replayed import even, spread
 from retuner.adaptive.loop.simulate import HeldInput
 from retuner.adaptive.process.model import LinearProcess, ProcessModel
@@ -126,12 +127,15 @@ def what_if(asked: WhatIfQuestion) -> dict[str, object]:
     if record is None:
         recorded = {"dt": 1.0, "sp": [], "pv": [], "co": [], "limits": [-1e9, 1e9], "range": 1.0, "floor": [0.0, 0.0]}
     else:
-        room = 1e6 * max(float(np.ptp(record.co)), 1.0)
-        low = float(np.min(record.co)) - room if asked.co_limits[0] is None else asked.co_limits[0]
+        low, high = float(np.min(record.co)), float(np.max(record.co))
+        limits = (
+            PERCENT if asked.co_limits == (None, None) and PERCENT[0] <= low <= high <= PERCENT[1] else asked.co_limits
+        )
+        room = 1e6 * max(high - low, 1.0)
         recorded = {
             "dt": record.sample_time_s,
             **{name: _listed(getattr(record, name), 6) for name in ("sp", "pv", "co")},
-            "limits": [low, float(np.max(record.co)) + room if asked.co_limits[1] is None else asked.co_limits[1]],
+            "limits": [low - room if limits[0] is None else limits[0], high + room if limits[1] is None else limits[1]],
             "range": max(float(np.ptp(record.pv)), float(np.ptp(record.sp)), 1e-9),
             "floor": [*axis_floors(record.pv)],
         }

@@ -182,7 +182,7 @@ def schedule_figure(found: ScheduleDesign, windows: Sequence[Window]) -> Figure:
     """Draw it."""
     figure = Figure(figsize=(14, 11))
     along = " and ".join(filter(None, (found.variable, found.second)))
-    figure.suptitle(f"{along}: {found.reason}", x=0.06, ha="left", fontsize=14, weight="bold")
+    figure.suptitle(f"{along}: {found.reason.partition(';')[0]}", x=0.06, ha="left", fontsize=14, weight="bold")
     grid = figure.add_gridspec(
         4, 2, height_ratios=(1.15, 1, 1, 1), hspace=0.28, wspace=0.14, left=0.06, right=0.955, top=0.94, bottom=0.05
     )

@@ -46,7 +46,8 @@ function replay(what, model, gains) {
   const { sp, pv, co, dt } = what, co0 = co[0], was = heldInput(model), will = heldInput(model);
   const [low, high] = what.limits, free = [pv[0]], found = { pv: [], co: [] };
   for (let i = 0; i + 1 < pv.length; i++) free.push(pv[i + 1] - was(co[i] - co0));
-  const law = pidLaw(gains, low, high, sp[0], free[0], co0), far = 100 * what.range;
+  const kicked = what.active ? (gains[0] - what.active[0]) * (sp[0] - free[0]) : 0;
+  const law = pidLaw(gains, low, high, sp[0], free[0], co0 + kicked), far = 100 * what.range;
   let moved = 0;
   for (let i = 0; i < pv.length; i++) {
     if (!(Math.abs(moved) < far)) return null;

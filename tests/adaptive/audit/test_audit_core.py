@@ -141,6 +141,14 @@ def test_a_loop_in_order_is_not_visited_and_an_unknown_swing_is_looked_at() -> N
     assert (swings.action, swings.rank > 0) == (AuditAction.LOOK, True)
 
 
+def test_a_stretch_at_rest_does_not_speak_for_one_that_swings() -> None:
+    """A level that swung after each load was noise, and nothing to do: it was at rest for a quarter of the time."""
+    swings = [seen(Cause.NOISE, 0.9), *(seen(Cause.SLOW_INTEGRATING, 0.48) for _ in range(3))]
+    told = loop_verdict(CALM, swings)
+    assert (told.cause, told.action) == (Cause.UNKNOWN, AuditAction.RECORD)
+    assert loop_verdict(CALM, [seen(Cause.NOISE, 0.9), seen(Cause.UNKNOWN, 0.5)]).action == AuditAction.NOTHING
+
+
 def test_a_loop_that_waits_for_its_process_is_sluggish_where_nothing_says_otherwise() -> None:
     waits, noise = replace(CALM, idle=0.45, at_limits=0.0), [seen(Cause.NOISE, 0.8), seen(Cause.UNKNOWN, 0.5)]
     told = loop_verdict(waits, noise)
