@@ -2,10 +2,10 @@
 
     P(Ms > limit) = sum over the grid of  p(process | record) [Ms(process, settings) > limit]
 
-A model with a few load steps and a filter for the rest may explain a record by a process that is not there: what a load
-that wanders does to pv is bought as lag, dead time or an inverse response. The exact likelihood of such a load
-(explanations/wandering_load.py) weighs every process on the same record. Where the whole record identifies nothing and
-its parts do, the settings are held to what settings by odds are (likely_processes.py), for their model is less sure.
+A model with a few load steps and a filter for the rest may explain a record by a process that is not there: lag, dead
+time or an inverse response then stand for what a load that wanders does to pv. The exact likelihood of such a load
+(explanations/wandering_load.py) weighs every process on the same record. If only parts of the record identify the
+process, its settings must hold as settings by odds do (likely_processes.py), for the model is less sure.
 """
 
 import math

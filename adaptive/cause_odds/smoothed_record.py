@@ -3,9 +3,8 @@
     pv = (1 + f q) pv',   co = (1 + f q) co'           f: 0 as sampled, towards 1 an average of two samples and more
 
 All processes under a load that wanders are compared for each f (wandering_load.py). A process whose lags make pv smooth
-needs no f: it is in the grid. What the recorder did is not, and its price was a first lag of two samples and a gain to
-match: of seven records of real levels five were called far too slow by 84 to 89 %, at a likelihood e^50 to e^166 times
-smaller; from every second row of four of them, where nothing of it is left, they were in order.
+needs no f: it is in the grid. What the recorder did is not: without f five of seven records of real levels were called
+far too slow with 84 to 89 %, at a likelihood e^50 to e^166 times smaller.
 """
 
 import math

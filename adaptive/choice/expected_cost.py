@@ -15,23 +15,20 @@ No Ms costs more than a stated most; a long wait costs all of its length. An uns
 stable set costs so much, more than any of them: on each model, and as a whole where it is unstable on the likeliest.
 
 Something else: the models are a fiction, and only what was seen is known. The loop in force is stable, and decays as it
-did. More action by a factor r is a risk in proportion to ln r, the more the wider the loop swung. An action that was
-not there before has no such factor: it counts as much as one that doubles. Less action costs its IAE, 1/ki after a
-load, and helps a loop that swung.
+did. More action by a factor r is a risk in proportion to ln r, the more the wider the loop swung; a new kind of action
+counts as one that doubles. Less action costs its IAE, 1/ki after a load, and helps a loop that swung.
 
 A change is made where it is expected to cost less than staying, by more than the price of a change and, as one more
 record costs little, by what the models disagree about:
 
     gain > price + sure s,    s = standard deviation of cost(set, m) - cost(in force, m) over the models
 
-The gain of a set is lost for one response of the many that it would run for, a wrong change is there for all of them;
-with twenty looks at a loop that is well tuned, one of them always sees a little too much Ms. What one more record can
-still take away of what the models disagree about falls with the number that agree: s sqrt(2 / (n + 1)) (preposterior
+Waiting loses a set's gain for one response, a wrong change costs for all that follow. The disagreement of the models
+that one more record can remove falls with the number n of records that agree: s sqrt(2 / (n + 1)) (preposterior
 analysis, Raiffa & Schlaifer 1961), so no loop waits for ever.
 
-Nothing is weighed against the safety of a loop that is unstable in force: on every model, or on the most likely one
-with a second record that agrees. What the guard has proved for it is made, however slow. The worst case is no part of
-this: that is the guard's (guard/proof.py), and only what it proved is weighed here.
+A loop that is unstable in force, on every model or on the likeliest with a second record that agrees, gets what the
+guard has proved, however slow. The worst case is the guard's (guard/proof.py); only sets that it proved are weighed.
 """
 
 import math

@@ -9,15 +9,14 @@ without a tone from outside and with one (tone.py).
     told      w   =  (1 - tone) w_all + tone w_answers,            once the setpoint has told the process
     response  ln w  <-  ln w + ln(1 + L_fit e^(-d^2/2) / L),       loads as steps; d: how far off its fit is (`apart`)
 
-A tone lasts, so it is kept with each process whether there is one: a single window of it may look like a loop near
-instability, and several would make that sure. Under a tone and by loads alone, next to nothing tells a process from the
-inverse of its controller, which explains pv by co as well: such windows say how likely a tone is. Which process is
-there, the answers to the setpoint say, once there are some, whatever the load (A: any_load.py; s: the setpoint's share
-in what moves the window). Without a tone these answers are judged under a load that wanders (W) as well, which tells
-slow processes better. Both opinions use the same samples, so their weights have the sum 1 (Genest & Zidek 1986).
+Each process has odds with a tone and without one: a single window of a tone may look like a loop near instability, and
+several would make that sure. Under a tone and by loads alone the inverse of the controller explains pv by co as well as
+any process does, so such windows say only how likely a tone is. The answers to the setpoint tell the process, whatever
+the load (A: any_load.py; s: the setpoint's share in what moves the window). Without a tone they are judged under a load
+that wanders (W) as well, which tells slow processes better; the weights of both have the sum 1 (Genest & Zidek 1986).
 
-No window makes anything sure: it may be an odd one, that says nothing. No process of the grid is the loop's, either:
-what one leaves is not told from noise down to MODEL_ERROR of pv's range. Windows add up on one grid (process_grid.py):
+No window makes anything sure: it may be an odd one, which says nothing. No process of the grid is quite the loop's, so
+what it leaves below MODEL_ERROR of pv's range counts as noise. Windows add up on one grid (process_grid.py):
 its unit of gains and interval of time stay those of the loop when its book was begun. Before any record each process is
 as likely as the others on which a loop at work is neither far beyond its limit of stability nor idle; those that run
 away have RUNAWAYS of the odds, shared by the ones that shares of the gains hold.

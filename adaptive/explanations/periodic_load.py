@@ -3,11 +3,11 @@
     ln B = ln L(co itself | process, load that wanders and steps or turns at t0 + i P by a, at t0 + (i + d) P by -a)
            - 7/2 ln n  -  ln L(co itself | process, load that wanders)
 
-The rival of a valve that sticks: a load that goes up and down in ramps makes a fast loop's pv a square under a triangle
-of co, as a valve does, and one that steps does so in a slow one. Its size costs half of ln n, and first turn, period
-and the share of the rise ln n each, as any row may be one. A tone with harmonics costs more, and a load that turns at
-any time (slip_odds.py) for each turn. Of some 50 sticking valves in traps (seeds 7401, 7402) one had larger odds for it
-than for its valve, by e^0.8; all of six such loads had, by e^11 to e^42.
+It is the rival of a valve that sticks: ramps up and down make the pv of a fast loop a square under a triangle of co, as
+a valve does, and steps do so in a slow loop. Its size costs half of ln n; first turn, period and share of the rise cost
+ln n each, as any row may be one. A tone with harmonics costs more, one that turns at any time (slip_odds.py) pays for
+each turn. Of some 50 sticking valves in traps (seeds 7401, 7402) one had larger odds for it than for its valve, by
+e^0.8; all of six such loads had, by e^11 to e^42.
 
 Where it turns is first seen from single shocks of the load beside co, whitened; even times are then moved to the best.
 """

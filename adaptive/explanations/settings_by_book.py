@@ -2,18 +2,19 @@
 
     worth(set) = E[cost(in force)] - E[cost(set)],     cost as in likely_processes.py
 
-The expectation is over processes drawn from the book, each as likely as the others; what is told of the gains in force
-holds between the grid's points as well (`over_cells`). On line a change costs more than words: it is made where the
-book is clear, and was at the look before (for less action after the whole window before). Where a tone from outside may
-be what moves the loop, and the setpoint has not told the process, more action waits; less is weighed with that. Less
-action, where Ms is probably too high with the gains in force. More, where a set with more is probably cheaper, and next
-to no process makes a bad loop of it: a share of the way, where the whole is not sure. No more where next to all
-processes run away, for on these nothing is proved; no less where it would hold them worse. No more integral action for
-the gain than the rule gives next to every process (SIMC: Skogestad 2003), for a load that comes back by itself looks
-like a process that does.
-How the spectrum of a load falls is assumed, and in closed loop much of what a record says rests on that (Forssell &
-Ljung 1999). So by loads alone a change must be as likely better as not under each order of the walk by itself, less
-action under each that the samples do not refute; nor may a shorter integral time be shorter than the rule's there.
+The expectation is over processes drawn from the book, each as likely as the others. Odds of the gains in force hold
+between the grid's points as well (`over_cells`). A change is made where two looks in a row ask for it.
+
+    less action     Ms is probably too high with the gains in force, and the set holds a process that runs away no worse
+    more action     a set with more is probably cheaper, and few processes make a bad loop of it: a share of the way
+                    where the whole is not sure, none where most processes run away, for nothing is proved on those
+    integral time   no shorter than the rule's (SIMC: Skogestad 2003) on most processes: a load that comes back by
+                    itself looks like a process that does
+
+While a tone may move the loop and the setpoint has not told the process, more action waits; less is weighed with it.
+How the spectrum of a load falls is assumed, and much rests on that in closed loop (Forssell & Ljung 1999). So a change
+by loads alone must be at least as likely better as worse under each order of the walk, less action under each that the
+samples do not refute.
 """
 
 import math

@@ -2,9 +2,8 @@
 
     worth(set) = E[cost(active)] - E[cost(set)],     cost as in likely_processes.py
 
-The expectation is over the processes of the grid with their odds, so a set is given where it is worth having on the
-whole, and only where it makes a bad loop of next to no likely process. Those come first that leave bad loops on fewer
-tenths of the odds.
+The expectation is over the processes of the grid with their odds. A set is given if it is worth having on the whole and
+makes a bad loop of next to no likely process; the fewer tenths of the odds have a bad loop, the earlier it comes.
 
 Candidates are SIMC's settings (Skogestad 2003) at several tau_c, and the set in force with less or more of all its
 actions, which keeps a derivative. SIMC's gain is that of one of the likeliest processes. The integral time at that

@@ -10,8 +10,8 @@
     robust_by_all_samples    a trial's response that swings under a load that wanders or a tone, on processes on which
                              the tried set is robust
 
-The book proposes nothing where the output stands at a limit, and where a valve may not follow: such a case is not the
-book's. Nor where clear steps have shown the process and the loop mostly rests.
+The book proposes nothing where the output stands at a limit, where a valve may not follow, or where clear steps have
+shown the process and the loop mostly rests.
 """
 
 import itertools

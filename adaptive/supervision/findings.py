@@ -1,11 +1,10 @@
 """What the record of a response says, what its region knows with it (learning.py), and what settings follow.
 
-A step takes the findings so far and returns them with its own; each may end the question. Before anything is learned,
-what else than the tuning may be behind the response is asked: a wrong action, a swing from outside. `propose` gives the
-settings, robust_simc.py's on the models that the records still allow, on line as off line. A region whose process is
-not known well enough gets none, with one exception: a loop that is over its Ms limit on every model that is still
-allowed is given less of everything without waiting for a better record. Less is asked for where all models ask for it
-that fit as well as the best: a dead time may be too short to be seen (dead_time_bound.py). decide.py goes on.
+A step takes the findings so far and returns them with its own; each may end the question. Other causes than the tuning
+come first: a wrong action, a swing from outside. `propose` gives the settings, robust_simc.py's on the models that the
+records still allow, on line as off line. A region whose process is not known well enough gets none, with one exception:
+a loop that is over its Ms limit on every model that is still allowed gets less of everything at once. The models that
+fit as well as the best say whether it needs less (a dead time may be too short to be seen: dead_time_bound.py).
 """
 
 import math

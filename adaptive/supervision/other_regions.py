@@ -1,16 +1,13 @@
 """What a response means for the regions where the loop is not.
 
-A region that was never entered, or is only passed through, kept its gains until a response ended in it: whatever was
-known of it by then, that response had to pay for them. Its process is known before, by responses that passed and along
-the curves through the other regions. So where a response changes nothing for its own region, the others are asked, the
-nearest first. Gains that are far from right on what is known there are proved on all that is left open, as any change,
-and go on trial when the loop comes. So are gains that are over their limit where the region ends, which no response of
-its own has shown: a neighbour's tell of that, also while they are on trial themselves and the loop is away. One region
-at a time; what is nearly right, or not shown clearly by responses of its own, waits for more of these.
+A region that the loop never entered, or only passed, would keep its gains until a response ended in it. But its process
+is known earlier, from responses that passed and from the curves through the other regions. So if a response changes
+nothing in its own region, the others are asked, the nearest first, one at a time. Gains that are far from right there,
+or over their limit where the region ends, are proved like any change, and go on trial when the loop comes. Gains that
+are nearly right wait for responses of their own region.
 
-Nobody has watched that region. So the gains must be right on what the curves foretell and also on what the table does
-(as_right_as_others). How much a load that never rests moves pv there is worked out from how it does here
-(trial/load_variability.py).
+Nobody has watched that region. So the new gains must be right by the curves and by the table as well
+(as_right_as_others). How much a load moves pv there follows from how much it does here (trial/load_variability.py).
 """
 
 import math

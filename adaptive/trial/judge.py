@@ -6,15 +6,17 @@ inexactness can do, and is no improvement on the gains before either:
     decay - level s(decay)  >  max(greatest promised + decay_slack, harmless_decay)   and  > before
     (IAE - its noise)/unit  >  greatest promised x iae_slack                          and  > before
 
-(before: the old gains, as the response showed them that led to the change, else on the best model. Where it swung more
-than any model allows after a load, loads made it swing: what another one does must grow. A model that calls them
-unstable without that having been seen says nothing of their IAE. See response_numbers.py; s from the noise of the
-peaks.) It is WORSE as well when the old gains were surely better on the models that are still allowed, whatever
-the upset was (posterior_check.py). It is not WORSE by its two numbers where a process that explains this and several
-records before it holds the new gains for robust: then more than one upset made the peaks; nor by anything where they
-are robust by all samples and have no less integral action than those before. It is judged only if the
-upset was one that the promise speaks of; otherwise it is INCONCLUSIVE, which costs time but rolls back nothing, unless
-it is known by then that the tried set is robust:
+"before" is what the old gains did in the response that led to the change, or on the best model; s comes from the noise
+of the peaks (response_numbers.py). If the old response to a load swung more than any model allows, loads made it swing,
+and the new one must grow to be worse. A model that calls the old gains unstable says nothing of their IAE, unless
+they were seen to be.
+
+Whatever the upset was, a response is WORSE as well if the old gains were surely better on the models that are still
+allowed (posterior_check.py). It is not WORSE by its two numbers if a process that explains this and several earlier
+records makes the new gains robust: more than one upset made the peaks. It is never WORSE if they are robust by all
+samples and have no less integral action than the old ones.
+
+A response is INCONCLUSIVE, which rolls back nothing, in these cases, unless the tried set is known to be robust:
 
     all peaks within seen_bands of noise, or within seen_wanders of what the error did while nothing happened;
     begun under other gains; no rest before the setpoint's step; cut short by the next one (but what is worse by then

@@ -2,16 +2,15 @@
 
     wander = quantile over blocks of the standard deviation of sp - pv about a straight line
 
-over blocks of BLOCK samples of those that ran under the gains in force. A quarter of the blocks lie below the quantile:
-upsets that come and go leave quiet blocks, a load that wanders leaves none. The line takes away what a slow integral
-has still to bring back, which is no wandering. A loop that swings by its own fault leaves no quiet block either, so
-that what is seen of such a loop is no measure (see prediction.py). What three of four blocks hold of the largest
-|sp - pv| is what a load does to the error in all: no half wave within it is one of a set that runs away. Real loads
-have quiet times: by the quiet quarter of the blocks 7 of 100 good sets ran away, and those that do go far beyond.
+over blocks of BLOCK samples under the gains in force. A quarter of the blocks lie below the quantile: upsets that come
+and go leave quiet blocks, a load that wanders leaves none. The line takes away what a slow integral has still to bring
+back. A loop that swings by its own fault leaves no quiet block either, so it gives no measure (see prediction.py).
+Three of four blocks stay below the largest |sp - pv| that a load makes: a half wave within it is no sign of a runaway.
+(By the quiet quarter of the blocks 7 of 100 good sets ran away; those that really do go far beyond.)
 
-Of a set for a place where the loop is not, nothing ran yet. A load that is a random walk moves the error there as its
-unit step does: the variance is its increments' times the integral of the squared response. So what is seen here beside
-noise goes over by the root of the ratio of these integrals, on the models of both places.
+A set for another place has not run yet. A load that is a random walk moves the error there as its unit step does, with
+the variance of its increments times the integral of the squared response. So what is seen here beside noise is carried
+over by the root of the ratio of these integrals, on the models of both places.
 
     wander there = sqrt(noise^2 + (wander here^2 - noise^2) ISE there / ISE here)
 """

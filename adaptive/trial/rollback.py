@@ -9,23 +9,21 @@ What ends it: a response (judge.py), or samples that run away (diverging_trial.p
     P(m | seen)   ~ weight(m)  prod over the sets seen   b where it was bad, 1 - b where it was calm
     b(set, m)     = by loads + (1 - 2 by loads) loss(set, m)
 
-m are the models that are still allowed, with their likelihoods. Bad is a set that swung on or against which there is
-evidence (worse, runaway); calm one under which the loop did not swing, or whose trial no response decided. Loads are
-the rival of the process: they make a robust loop look bad now and then, seldom as a runaway; and since the set before
-was calm, the process may have changed. So evidence weighs the models and strikes none out. What none of them explains,
-something else is behind: there only what was seen counts, by Laplace's rule of succession, (1 + bad) / (2 + bad +
-calm), and a set that acts more in everything than a bad one is as bad.
+m are the models that are still allowed, with their likelihoods. A set is bad if it swung on or if there is evidence
+against it (worse, runaway). It is calm if the loop did not swing under it, or if no response decided its trial. Loads
+make a robust loop look bad now and then, and the process may have changed since the set before was calm. So evidence
+weighs the models and strikes none out. If no model explains what was seen, only what was seen counts, by Laplace's rule
+of succession, (1 + bad) / (2 + bad + calm); a set that acts more in everything than a bad one is as bad.
 
-The commissioned set has no privilege. After evidence against the tried set the one before is to run, also where there
-is no model; after a cause that says nothing of it the tried one stays. Another set takes their place where it is
-expected to lose less by more than the price of a change.
+After evidence against the tried set the one before runs, also where there is no model; after a cause that says nothing
+of it the tried one stays. Another set takes their place if it is expected to lose less by more than the price of a
+change. The commissioned set has no privilege.
 
-Whatever evidence leads back, `less_stable` is asked: no set comes back that is likelier to be unstable than the one
-that runs, nor expected to lose more, on the models that are still allowed, before that evidence weighs them (at Ms 100
-the loss is nearly that of an unstable loop). Where a person orders it, only a set that is likelier to be unstable stays
-out. Evidence may be a tone, a load or a wrong model; an unstable loop is none. Where no model is left, those on which
-the tried set was proved keep the door: what they called unstable stays out. One thing is asked of no model: where pv
-left its range under the tried set alone, the set before runs, unless it swung on or was called unstable from the start.
+`less_stable` guards every way back: a set stays out if it is likelier to be unstable than the one that runs or to lose
+more, on the models before that evidence weighs them (at Ms 100 the loss is nearly that of an unstable loop). A
+person's order is held to the first alone. Where no model is left, the models on which the tried set was proved decide.
+One case asks no model: if pv left its range under the tried set alone, the set before runs, unless it swung on or was
+called unstable from the start.
 """
 
 import math
