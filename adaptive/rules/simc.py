@@ -41,7 +41,7 @@ def simc(
     model = without_second_lag(model) if kind == ControllerKind.PI else model.of_second_order()
     if tau_c_s is None:
         if model.theta_s == 0:
-            raise ValueError("theta = 0: SIMC's default tau_c = theta does not exist; give tau_c")
+            raise ValueError("theta = 0: SIMC's default tau_c = theta does not exist; give tau_c (--tau-c)")
         tau_c_s = model.theta_s
     span = tau_c_s + model.theta_s
     if not 0 < span < math.inf:

@@ -104,7 +104,7 @@ def simc_improved(model: ProcessModel, tau_c_s: float | None = None, c: float = 
         raise ValueError("a double integrating process needs derivative action; use rule simc")
     if tau_c_s is None:
         if model.theta_s == 0:
-            raise ValueError("theta = 0: SIMC's default tau_c = theta does not exist; give tau_c")
+            raise ValueError("theta = 0: SIMC's default tau_c = theta does not exist; give tau_c (--tau-c)")
         tau_c_s = model.theta_s
     span = tau_c_s + model.theta_s
     if not 0 < span < math.inf or not 0 < c < math.inf:

@@ -10,6 +10,7 @@ from retuner.adaptive.loop.replayed import MOST_MODELS, BeforeAfter, before_afte
 from retuner.adaptive.loop.simulate import step_response
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import Window
+from retuner.decision_page.row_values import brief
 from retuner.diagnosing import RecordDiagnosis
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass
@@ -67,14 +68,14 @@ def _step_figures(process: LinearProcess, gains: PidGains, until_s: float) -> tu
     if math.isinf(peak):
         return "without end", "never", "unstable"
     filter_s = gains.kd / gains.kp / 10.0 if gains.kp else 0.0
-    settling = f"over {LONGER[-1] * until_s:.2g} s"
+    settling = f"over {brief(LONGER[-1] * until_s)} s"
     over = 0.0
     for times in LONGER:
         found = step_response(process, gains, times * until_s, filter_s)
         over = max(over, float(np.max(found.pv)) - 1.0)
         away = np.flatnonzero(np.abs(found.pv - 1.0) > WITHIN)
         if not len(away) or found.t[away[-1]] < SURE * times * until_s:
-            settling = f"{found.t[away[-1]] if len(away) else 0.0:.3g} s"
+            settling = f"{brief(float(found.t[away[-1]]) if len(away) else 0.0)} s"
             break
     return f"{100.0 * over:.0f} %", settling, f"{peak:.2f}"
 

@@ -26,6 +26,7 @@ from retuner.commands.recorded.recorded_loop import controller, read_records_of_
 from retuner.commands.signatures import DiagnoseOptions
 from retuner.decision_page.decision_words import settings_text
 from retuner.decision_page.evidence_words import REGULAR, evidence_lines
+from retuner.decision_page.row_values import brief, in_full
 from retuner.decision_page.shown_units import chosen_units
 from retuner.diagnosing import RecordDiagnosis
 from retuner.errors import UserError, user_input
@@ -204,18 +205,15 @@ def loop_words(loop: LoopScreen) -> str:
     """What monitoring products tell of a loop, in a line."""
     days = loop.span_s / DAY_S
     mean = loop.iae_per_day / DAY_S
-    parts = [f"mean error {mean:.3g}" if loop.setpoint else "no setpoint"]
+    parts = [f"mean error {brief(mean)}" if loop.setpoint else "no setpoint"]
     parts += [f"Harris index {loop.harris:.2f}"] if loop.setpoint else []
-    parts.append("no lasting oscillation" if loop.period_s is None else f"oscillates at {loop.period_s:.3g} s")
-    travel = loop.effort_per_day * days
-    told = f"{travel:,.0f}" if travel >= THOUSAND else f"{travel:.3g}"
-    parts.append(f"co travels {told} and turns {loop.reversals_per_day * days:,.0f} times")
+    parts.append("no lasting oscillation" if loop.period_s is None else f"oscillates at {brief(loop.period_s)} s")
+    parts.append(f"co travels {brief(loop.effort_per_day * days)} and turns {loop.reversals_per_day * days:,.0f} times")
     parts.append(f"automatic {100.0 * loop.in_automatic:.0f} %, at limits {100.0 * loop.at_limits:.0f} %")
     return ", ".join(parts)
 
 
 DAY_S = 86_400.0
-THOUSAND = 1000.0  # Numbers from here on are written whole
 
 
 def _next(found: DiagnosedRecord) -> list[str]:
@@ -306,9 +304,10 @@ def _process_lines(found: DiagnosedRecord) -> list[str]:
     model, estimate = found.result.model, found.result.estimate
     if model is None:
         return []
-    std = estimate.log.std() if estimate is not None and not found.result.likely else {}
+    known = estimate.log.std() if estimate is not None and not found.result.likely else {}
+    std = {name: f" +- {in_full(float(f'{one:.2g}'))}" for name, one in known.items()}
     numbers = (
-        f"{name} {value:.4g}{f' +- {std[name]:.2g}' if name in std else ''}{' s' if name != 'k' else ''}"
+        f"{name} {in_full(value)}{std.get(name, '')}{' s' if name != 'k' else ''}"
         for name, value in {"k": model.k, **model.times_s, "theta": model.theta_s}.items()
         if value
     )

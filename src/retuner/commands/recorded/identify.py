@@ -9,6 +9,7 @@ from retuner.commands.recorded.other_cause import contradiction, diagnosed, othe
 from retuner.commands.recorded.record_options import days_told, tell_assumed
 from retuner.commands.recorded.recorded_loop import controller, read_loop, require_fitting, require_length
 from retuner.commands.signatures import IdentifyOptions
+from retuner.decision_page.row_values import in_full
 from retuner.decision_page.shown_units import chosen_units
 from retuner.drivers.recorded.recording import Recording, require_excitation
 from retuner.errors import UserError, user_input
@@ -91,7 +92,7 @@ def described(found: Identification) -> list[str]:
         "identified" if estimate.identifiable else "NOT identifiable: " + estimate.reason,
         f"  {'type':<6} {model.type:>10}",
         *(
-            f"  {name:<6} {value:10.4g} +- {std[name]:.2g}{' s' if name != 'k' else ''}"
+            f"  {name:<6} {in_full(value):>10} +- {in_full(float(f'{std[name]:.2g}'))}{' s' if name != 'k' else ''}"
             for name, value in {"k": model.k, **model.times_s, "theta": model.theta_s}.items()
         ),
         *([f"  {'zeta':<6} {model.zeta:10.4g}"] if model.zeta < 1 else []),
