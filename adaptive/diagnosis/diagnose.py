@@ -3,7 +3,8 @@
     no loop at work in the record (dead, manual, no response, ...)   unknown, said in words
     co switches between two values                                   unknown: no PID controller moves it
     the error runs away with co pushing it on                        unknown: the controller acts the wrong way
-    co at its limits for much of the time                            saturation
+    co at its limits for much of the time                            saturation; aggressive where it goes from end to
+                                                                     end and the loop by itself explains that (off line)
     nothing but noise                                                noise
     sticking_valve.py: linear, external tone, stuck valve            compared by the information criterion per record
         a stuck valve wins                                           stiction
@@ -39,7 +40,7 @@ from retuner.adaptive.diagnosis.sticking_valve import (
     stiction_or_tone,
 )
 from retuner.adaptive.diagnosis.stretches import over_time, stretches
-from retuner.adaptive.diagnosis.tuning_verdict import RecordVerdict, linear_verdict
+from retuner.adaptive.diagnosis.tuning_verdict import UNSTABLE, RecordVerdict, linear_verdict
 from retuner.adaptive.diagnosis.wrong_way import acts_wrong_way
 from retuner.adaptive.fit.record import setpoint_changes
 from retuner.adaptive.fit.structure import leads
@@ -137,9 +138,10 @@ def _diagnosed(
     if sign and (obvious is None or obvious.cause == Cause.SATURATION):
         wrong = acts_wrong_way(window, sign, settings.fit)
         obvious = obvious if wrong is None else replace(wrong, evidence=dict(seen.evidence) | wrong.evidence)
-    if obvious is not None:
+    from_end_to_end = settings.by_odds and min(seen.limits.low, seen.limits.high) > BOTH_ENDS
+    if obvious is not None and not (from_end_to_end and obvious.cause == Cause.SATURATION):
         return RecordVerdict(obvious)
-    parts = stretches(window, seen.period_s, settings.fit.choice.most_samples)
+    parts = [] if obvious is not None else stretches(window, seen.period_s, settings.fit.choice.most_samples)
     if parts:
         each = [_diagnosed(part, gains, limits, settings, direction, rough_law) for part in parts]
         return over_time(parts, each)
@@ -148,6 +150,8 @@ def _diagnosed(
     signs = (sign,) if sign else (1, -1)
     found = linear(window, signs, settings.fit.choice, settings.fit.most_samples)
     told = _loop_or_tone_or_valve(window, gains, found, seen, settings, rough_law)
+    if obvious is not None and told.diagnosis.cause != Cause.AGGRESSIVE and UNSTABLE not in told.diagnosis.reason:
+        return RecordVerdict(obvious)
     return _in_parts(window, gains, limits, told, settings) or told
 
 
@@ -189,6 +193,9 @@ def _in_parts(
     return told if told.diagnosis.cause in {Cause.SLOW_INTEGRATING, Cause.SLUGGISH} else None
 
 
+BOTH_ENDS = 0.05
+"""Share of the record at either end of co from which the loop's own swing may be what takes it there: too small an
+actuator ends at one of them."""
 PARTS, SLOW_SWING, SAME_SLOPE = 4, 4.0, 0.1
 """Parts of such a record; its period in integral times in force (k' Kc tau_I under 2.5); how far the logarithms of two
 slopes may lie apart."""

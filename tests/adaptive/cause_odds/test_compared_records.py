@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from pi_loop import Lag, pi_loop
 
+from retuner import ProcessModel, simulate
 from retuner.adaptive.cause_odds.compared_records import compared
 from retuner.adaptive.cause_odds.odds import diagnose_records
 from retuner.adaptive.cause_odds.odds_settings import OddsSettings
@@ -57,3 +58,14 @@ def test_a_long_record_is_not_averaged_over_the_swing_of_its_loop() -> None:
     found = compared([long], TIGHT, 1, OddsSettings())
     assert found is not None
     assert found.dt_s <= TIGHT.kp / TIGHT.ki / 10
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("kp", "size", "cause"), [(18.0, 5.0, Cause.AGGRESSIVE), (3.0, 45.0, Cause.SATURATION)])
+def test_a_loop_that_swings_from_limit_to_limit_by_itself_is_aggressive(kp: float, size: float, cause: Cause) -> None:
+    """It was saturation, which new settings do not cure; a good loop whose setpoint asks for too much still is."""
+    gains, model = PidGains(kp, kp / 50.0), ProcessModel("fopdt", k=0.8, tau1_s=90.0, theta_s=15.0)
+    setpoint = [(300.0 * i, 40.0 + size * (-1) ** i) for i in range(7)]
+    record = simulate(model, gains, setpoint=setpoint, until_s=2000.0, noise=0.05).window
+    assert np.mean((record.co <= 0.0) | (record.co >= 100.0)) > 0.3
+    assert diagnose_records([record], gains).found.diagnosis.cause == cause
