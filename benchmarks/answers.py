@@ -254,7 +254,7 @@ def libraries() -> dict[str, str]:
     return {
         "python": platform.python_version(),
         "machine": platform.machine(),
-        **{name: version(name) for name in ("numpy", "scipy")},
+        **{name: version(name) for name in ("numpy", "scipy", "filterpy")},
     }
 
 

@@ -34,7 +34,7 @@ TESTS = (
     "tests/app/test_conversions.py",
     "tests/app/test_doctor.py",
 )
-"""What touches numpy, scipy, pydantic, typer, rich, python-can, cantools, pyarrow most; half a CPU minute."""
+"""What touches numpy, scipy, filterpy, pydantic, typer, rich, python-can, cantools, pyarrow most; half a CPU minute."""
 LEFT_OUT = ("all", "fmu")
 """Extras that are not installed here by name: the sum of all, and what has a numpy of its own."""
 

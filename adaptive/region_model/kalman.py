@@ -1,4 +1,4 @@
-"""The Kalman filter over one region's log-parameters, step by step, once per response.
+"""The Kalman filter over one region's log-parameters, step by step; the filter is filterpy's, once per response.
 
     mu ~ N(m, P)                 the region's process, a random walk: P grows with time and with every record
     mu' = mu + v,  v' = f v      and a drift v from record to record that fades (local linear trend, Harvey 1989, 2.3.4,
@@ -20,6 +20,7 @@ import numpy as np
 
 from retuner.adaptive.identification.estimate import LogModel, ModelEstimate, proper_covariance
 from retuner.adaptive.region_model.region_model import Drift, StructureModel
+from retuner.adaptive.signals.sample import FloatArray
 
 
 def widened(log: LogModel, variance: float) -> LogModel:
@@ -62,21 +63,17 @@ def back_to_mean(known: StructureModel, prior: LogModel, posterior: LogModel) ->
 
 
 def update(prior: LogModel, estimate: ModelEstimate) -> tuple[float, LogModel]:
-    """Innovation statistic (chi-square, one degree of freedom a parameter) and posterior for the prior's structure.
+    """Innovation statistic (chi-square, one degree of freedom a parameter) and posterior for the prior's structure."""
+    from filterpy.kalman import KalmanFilter
 
-    The posterior's covariance is Joseph's (I - K R) P (I - K R)' + K K', which rounding leaves positive.
-    """
+    d = len(prior.x)
+    kf = KalmanFilter(dim_x=d, dim_z=d)
+    kf.x, kf.P = prior.x.reshape(d, 1).copy(), prior.p.copy()
     record = estimate.of(prior.type)
-    seen, root = record.information, np.eye(len(prior.x))
-    y = record.score.reshape(-1, 1) - seen @ prior.x.reshape(-1, 1)
-    across = prior.p @ seen.T
-    spread = seen @ across + root
-    gain = across @ np.linalg.inv(spread)
-    left = root - gain @ seen
-    statistic = float((y.T @ np.linalg.solve(spread, y))[0, 0])
-    posterior = replace(
-        prior, x=prior.x + (gain @ y)[:, 0], p=proper_covariance(left @ prior.p @ left.T + gain @ gain.T)
-    )
+    kf.update(record.score.reshape(d, 1), R=np.eye(d), H=record.information)
+    y: FloatArray = kf.y
+    statistic = float((y.T @ np.linalg.solve(kf.S, y))[0, 0])
+    posterior = replace(prior, x=kf.x[:, 0].copy(), p=proper_covariance(kf.P))
     return statistic if math.isfinite(statistic) else math.inf, posterior
 
 

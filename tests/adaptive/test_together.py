@@ -3,7 +3,6 @@
 import json
 from collections.abc import Callable
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ from filterpy.kalman import KalmanFilter
 from retuner import PidGains, ProcessType, Regions
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.identify import FitSettings, identify_window
-from retuner.adaptive.region_model import kalman, update
+from retuner.adaptive.region_model import update
 from retuner.adaptive.region_model.from_neighbours import BorrowingSettings, borrowed
 from retuner.adaptive.region_model.kalman import back_to_mean, moved_on, widened
 from retuner.adaptive.region_model.region_model import Drift, RegionModel, StructureModel
@@ -211,8 +210,9 @@ def taught(known: StructureModel, seen: FloatArray, *, scatter: float = 0.0, std
     """One record later, which says `seen` of its process."""
     mean = moved_on(known, WALK**2, std, KEEPS)
     prior = widened(mean.log, scatter**2)
-    record = SimpleNamespace(score=seen / SEEN, information=np.eye(D) / SEEN)
-    return back_to_mean(mean, prior, kalman.update(prior, SimpleNamespace(of=lambda _: record))[1])
+    gain = prior.p @ np.linalg.inv(prior.p + SEEN**2 * np.eye(D))
+    posterior = replace(prior, x=prior.x + gain @ (seen - prior.x), p=prior.p - gain @ prior.p)
+    return back_to_mean(mean, prior, posterior)
 
 
 def test_without_scatter_it_is_the_filter_of_the_textbooks() -> None:

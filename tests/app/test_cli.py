@@ -23,7 +23,7 @@ from retuner.errors import UserError, user_input
 from retuner.live_view.live_screen import LiveScreen
 from retuner.verbosity import LOGGER, be_normal, busy, quiet
 
-HEAVY = ("numpy", "scipy", "matplotlib", "can", "cantools", "pydantic", "pyarrow", "asyncio")
+HEAVY = ("numpy", "scipy", "filterpy", "matplotlib", "can", "cantools", "pydantic", "pyarrow", "asyncio")
 
 
 def all_commands() -> list[str]:

@@ -67,7 +67,7 @@ def test_a_missing_package_of_the_base_is_broken_and_of_an_extra_is_not(tmp_path
     real = doctor.version
 
     def without(name: str) -> str:
-        if name in {"scipy", "canopen"}:
+        if name in {"filterpy", "canopen"}:
             raise PackageNotFoundError(name)
         return "1.0" if name == "pyarrow" else real(name)
 

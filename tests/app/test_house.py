@@ -62,7 +62,7 @@ PURE = ("schedule", "adaptive")
 PURE_MAY_IMPORT = {
     "abc", "array", "base64", "bisect", "cmath", "collections", "contextlib", "contextvars", "dataclasses", "enum",
     "functools", "hashlib", "heapq", "importlib", "itertools", "json", "math", "operator", "re", "string", "sys",
-    "textwrap", "tomllib", "types", "typing", "zlib", "numpy", "scipy", "retuner",
+    "textwrap", "tomllib", "types", "typing", "zlib", "filterpy", "numpy", "scipy", "retuner",
 }
 IMPURE_NAMES = {"open", "print", "input", "exec", "eval", "compile", "breakpoint", "__import__", "id", "hash"}
 IMPURE_ATTRIBUTES = {

@@ -1,5 +1,5 @@
 """What a process does before the first question of a loop: two decisions on a record of nobody, so that no real one
-waits for imports, nor the loop when it enters one. Only the second has something to join its record with.
+waits for imports, nor the loop when it enters one. Only the second has something to join its record with (filterpy).
 """
 
 from collections import deque

@@ -234,7 +234,7 @@ def read_loops(session: Path) -> tuple[tuple[RecordedSession, ...], SessionConfi
 # differently from release to release and from processor to processor.
 
 ROOMS = (schedule, adaptive, drivers)  # the code that lies between frames and decisions
-PACKAGES = ("retuner", "numpy", "scipy", "python-can", "cantools")
+PACKAGES = ("retuner", "numpy", "scipy", "filterpy", "python-can", "cantools")
 """What the way from frames to decisions goes through."""
 BLOCK = 1 << 20  # bytes read at a time
 
