@@ -12,9 +12,9 @@ the time at a limit, and l of the integral of |error| come up there, nearly all 
     odds = one-sidedness  x  (l / (1 - l)) / (w / (1 - w))
 
 Stretches in order elsewhere do not speak against that. Where no stretch names a fault or "in order", the idle index of
-the whole record may: a loop whose controller waits for the process after every load is sluggish (Hagglund 1999). It
-tells no settings. "Unknown" says nothing either way. A stretch in which nothing
-happens (noise) does not clear a valve that sticks when it moves: of what is no fault only "ok" speaks against.
+the whole record may: a controller that waits for the process after every load is sluggish (Hagglund 1999), without
+settings. "Unknown" and noise say nothing either way: a stretch at rest does not clear a valve that sticks when it
+moves.
 
 What a visit may bring is a share of the mean |error|. Where a process was identified, it is what other settings would
 have made of parts spread over the record (choice/foreseen.py). A limit's is the error that comes up there. Elsewhere

@@ -2,9 +2,8 @@
 
 A long record is condensed for one fit until its dead time is shorter than a row, and has more loads than one search
 finds; a part of it has few, at full resolution. Parts end where the setpoint moves. Each is fitted by itself; then all
-are joined as the stretches of a region are (by_region.py), each with what the others have shown as its prior. The joint
-estimate stands only where every part that is identifiable by itself agrees with it, so that no fiction of one part
-speaks for the rest.
+are joined as the stretches of a region are (by_region.py). The joint estimate stands only if every part that is
+identifiable by itself agrees with it.
 """
 
 import math

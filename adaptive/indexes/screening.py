@@ -11,10 +11,9 @@ co moves (IS, DS; the first letter is co's) and then moves on:
     rho1 = (t_IS + t_DS) / (t_all - t_SS)
     rho3 = rho1 - (t_ISDD + t_ISDI + t_ISSD + t_ISID + t_DSDI + t_DSSI + t_DSID + t_DSII) / (t_all - t_SS)
 
-the second without the standing samples that are followed by a movement that no valve would make. By chance rho1 is
-0.25; well above it they speak for a sticking valve. Made for flow loops, where pv is the valve's flow. Increments count
-as steady within 0.43 of their standard deviation: noise then is rising, steady and falling equally often, which is what
-makes 0.25 the value of chance.
+rho3 leaves out standing samples that are followed by a movement that no valve would make. By chance rho1 is 0.25; well
+above it they speak for a sticking valve of a flow loop, where pv is the valve's flow. Increments count as steady within
+0.43 of their standard deviation, so noise rises, stands and falls equally often.
 
 Ellipse (Choudhury, Shah & Thornhill 2008, section 8.3): with correlation c of pv and co the ellipse of their covariance
 is 2 sqrt(2) std(co) sqrt(1 - c^2) wide along co: about the stick band when the valve is what makes the curve.

@@ -1,25 +1,17 @@
 """A response that crossed a border teaches both sides, and whatever lay on its way.
 
-It is fitted in motion: every parameter a curve over the scheduling variable. At the centre of
-each region on its way the curves say what the process is there, and how well the record knows that: much where it spent
-its time and its travel, less beyond. As one measurement of that region it is put to what is known of it, by the same
-filter and gate as any record. So a response that went from one region far into the next tells much of the next, and
-something of the first.
-
-Such a record agrees or is left aside: it never overrules what records of the region itself have shown. What was learned
-that way is proved on the whole spread of the covariance, as what is borrowed is.
-
 A linear model of a long step over a process that changes is a fiction: where the gain falls along the way, pv begins
-fast and ends early, and a shorter lag explains it. So the record is fitted as the schedule's design fits a whole day
-(schedule_design/joint.py, motion.py): every parameter a curve over the scheduling variable, with a prior about the
-linear model of the same record. What that says of any place comes with its covariance: much where the response went,
-less beyond.
+fast and ends early, and a shorter lag explains it. So the record is fitted in motion, as the schedule's design fits a
+whole day (schedule_design/joint.py, motion.py): every parameter is a curve over the scheduling variable, with a prior
+about the linear model of the same record. At the centre of each region the curves say what the process is there, with a
+covariance: small where the response spent time and travel, larger beyond. That is one measurement of the region, and
+passes the same filter and gate as any record. It agrees or is left aside, and never overrules records of the region
+itself. What was learned so is proved on the whole spread of the covariance, as what is borrowed is.
 
-Nor does a percent of co act alike everywhere (a valve's curve, burst firing): on the way co is far from where it rests.
-A fit that knows only the place of pv puts that into lags and bends, and Kc of a tank behind an equal-percentage valve
-came out at 0.6 to 3.4 of what is right. So the slope of an installed characteristic is fitted beside, from what all
-records so far say of it (co_curve.py). At a place it counts as it is for the co that rests there, by a straight line
-between both ends of the record.
+Nor does a percent of co act alike everywhere (a valve's curve, burst firing), and on the way co is far from where it
+rests. A fit without that gave Kc of a tank behind an equal-percentage valve as 0.6 to 3.4 of what is right. So the
+slope of an installed characteristic is fitted beside, from all records so far (co_curve.py). At a place it counts as it
+is for the co that rests there, by a straight line between both ends of the record.
 """
 
 import math

@@ -7,21 +7,19 @@ a bent ridge of likely parameters, and its Gaussian dragged the gain to a tenth.
 
     known + record -> the record by itself; the record with the known in its fit; do the two belong together?
 
-A record that does not settle the process by itself still narrows it: whether settings may follow is asked of what is
-known after the record, never of the record alone. Only a record that shows nothing of the process teaches nothing, and
-one that a model without load steps at its setpoint changes explains in another way (fit/record.py).
+A record that does not settle the process by itself still narrows it, so settings are asked of what is known after the
+record. A record teaches nothing if it shows nothing of the process, or if a model without load steps at its setpoint
+changes explains it in another way (fit/record.py).
 
 All of this is kept per structure (fit/structure.py), each with the sum of what its records said for it, n ln sigma^2
-plus the cost of loads and colour: information criteria add up, so the structure may change at any time and none is
-discarded for good; what is known is that of the structure which leads.
+plus the cost of loads and colour: information criteria add up, so the structure that leads may change at any time.
 
-A record that contradicts what is known is not believed at once: it is kept as an alternative. When the next record
-agrees with the alternative clearly better than with the region's model, the process has changed (or the first record
-was wrong), and the alternative takes over; when it clearly agrees with the model, the one that contradicted it is
-forgotten; and when it shows too little to tell (a load tells little of a dead time), it is taken into both. Only a loop
-that is in danger by what the contradicting record says does not wait: then the record is believed, and what was known
-is the alternative. And where no settings could follow from what was known, it gives way at once to a record that
-settles the process by itself, if it contradicts that record or would leave it unsettled.
+A record that contradicts what is known is kept as an alternative. The next record decides: if it agrees with the
+alternative clearly better, the process has changed (or the first record was wrong), and the alternative takes over; if
+it clearly agrees with the model, the alternative is forgotten; if it shows too little to tell, both take it in. The
+contradicting record is believed at once if the loop is in danger by what it says, and the known becomes the
+alternative. It is believed at once as well if it settles the process by itself and no settings could follow from what
+was known.
 """
 
 import math

@@ -6,10 +6,10 @@
     greatest Ms(tried)  <=  harmless_ms,  the process is settled                                 robust
 
 over all models that are still allowed (region_model/update.py: the record with what was known before, or by itself
-where they contradict each other); J is the mean over a setpoint and a load step of IAE with the tried set over IAE with
-the old one (as Grimholt & Skogestad 2012 weigh them). The numbers of one response cannot tell this: the IAE of a load
-is 1/ki per unit whatever the process, so a sluggish set keeps what a wrong model promised of it, and a set of high Ms
-may still take up a load with hardly a swing. What was seen of the old set counts more than what any model says of it.
+where they contradict each other). J is the mean over a setpoint and a load step of IAE with the tried set over IAE with
+the old one (Grimholt & Skogestad 2012). One response cannot tell this: the IAE of a load is 1/ki per unit whatever the
+process, so a sluggish set keeps what a wrong model promised of it, and a set of high Ms may take up a load with hardly
+a swing. What was seen of the old set counts more than what any model says of it.
 """
 
 import math

@@ -2,10 +2,10 @@
 
     spread = (on the best model, least, greatest) over the models that the records still allow
 
-per unit of a setpoint step, and per unit of a load at the process input. The size of a load is never known, but what
-the integral took over is: |load| = |ki integral e dt| (Astrom & Hagglund, Advanced PID Control, 2006, section 4.3), so
-the IAE of a load per unit of it can be both promised and measured, and is 1/ki where nothing swings. The decay of a
-load's response is promised over a step and a pulse of it, because either may come.
+per unit of a setpoint step, and of a load at the process input. A load's size is never known, but the integral takes it
+over: |load| = |ki integral e dt| (Astrom & Hagglund, Advanced PID Control, 2006, section 4.3). So the IAE of a load per
+unit of it can be promised and measured, and is 1/ki where nothing swings. The decay of a load's response is promised
+over a step and a pulse of it, because either may come.
 """
 
 import math

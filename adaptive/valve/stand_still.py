@@ -13,12 +13,10 @@ load steps and ramps explain as much. What decides is stand-still measured insid
               a setpoint step is answered by nothing for 8 tau_I while co travels, and then by a step
     does not answer    one leg over nearly all that co ever moves, 20 tau_I long, and no slip
 
-How far it stands is told as well, 0 to 1, because no record ends where its valve does: each of these numbers rises
-from nothing at half of its bound to all at the bound, and the least of them counts. Of one valve every second row, or
-nine tenths of the rows, had stood or not as a leg of 21 % of co's range came out as one of 19 %.
-
-What stands changes no gains, whatever it is. Without the setpoint's or the slip's evidence it may as well be a load
-that drifts with co (a triangle in a fast loop), and that is said.
+How far it stands is a number as well, 0 to 1: each of these numbers rises from nothing at half of its bound to all at
+the bound, and the least of them counts. (Every second row, or nine tenths of the rows, had made a leg of 21 % of co's
+range one of 19 %.) What stands changes no gains. Without the setpoint's or the slip's evidence the answer says that it
+may be a load that drifts with co (a triangle in a fast loop).
 """
 
 from collections.abc import Sequence

@@ -19,19 +19,16 @@ and may come from outside or from a sticking valve, and large steps. Inside a de
 
 What a response looks like, in numbers by name: peaks of the error, and what pv and co did meanwhile.
 
-Of every response, as far as it goes: height_bands (the largest error), overshoot, damping, period_s, the times between
-its peaks (response.py), and limited_share, how much of the time that the error was outside the noise band co stood at
-one of its extremes: integral action moves it there, unless a limit holds it.
-
-Of a load response: rise_s, until the error is largest; tail_s, from there until it stays inside the noise band;
-rebound, how far it grows again on its way back, as a share of its largest value (a swing that rides on a slow return);
-left_bands, how far pv was from its setpoint just before: a tail of the last response is part of this one; co_way, how
-far co ended from where it began, as a share of its travel; and co_overshoot. A load d at the process input
-is answered by co = co_0 - T d, so co shows the overshoot that a setpoint step of the same loop would show, also where
-the error never changes sign.
-
-Of a setpoint response: tenth_s, until pv has made a tenth of its way; only where pv rested before. It is the dead time
-and a little more: a second-order process takes 0.45 of its radians for that.
+    height_bands    the largest error
+    limited_share   of the time outside the noise band, how long co stood at an extreme: integral action moves it there,
+                    unless a limit holds it; besides overshoot, damping, period_s, times between peaks (response.py)
+    after a load    rise_s, until the error is largest; tail_s, from there until it stays inside the noise band;
+                    rebound, how far it grows again on its way back, as a share of its largest value; left_bands, how
+                    far pv was from its setpoint just before (a tail of the last response); co_way, how far co ended from
+                    where it began, as a share of its travel; co_overshoot: a load d at the input is answered by
+                    co = co_0 - T d, so co overshoots as pv would after a setpoint step, whatever the error's sign
+    after a step    tenth_s, until pv has made a tenth of its way from rest: the dead time and a little more (a
+                    second-order process takes 0.45 of its radians for that)
 """
 
 import math

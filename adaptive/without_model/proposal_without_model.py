@@ -9,15 +9,12 @@ Neither proves anything. The guard lets such a proposal through as a small step 
     q = (pi tau_I / P0)^2,   zeta^2 = (1 - sqrt(1 - 4 q))/2,   f = 1/zeta^2,   Kc and tau_I each by sqrt(f)
 
 PI on k'/s has zeta = 0.5 sqrt(k' Kc tau_I) (Skogestad 2003), and swings with P0 = 2 pi/(w0 sqrt(1 - zeta^2)), w0 tau_I
-= 2 zeta. Solved for zeta that gives the exact need of a damped swing, where the printed f = 0.1 (P0/tau_I)^2 is meant
-for a weakly damped one (a third too strong at zeta 0.5); afterwards k' Kc tau_I = 4. P0 is at least 2 pi tau_I for an
-integrating process (zeta = 0.7), so a shorter swing is not this one.
+= 2 zeta. Solved for zeta that is the exact need of a damped swing; the printed f = 0.1 (P0/tau_I)^2 is for a weakly
+damped one (a third too strong at zeta 0.5). Afterwards k' Kc tau_I = 4. P0 is at least 2 pi tau_I for an integrating
+process (zeta = 0.7), and each peak is s = exp(-pi zeta/sqrt(1 - zeta^2)) times the one before; a swing that is shorter
+or decays otherwise is another one: a tone from outside (s = 1), or integral action against a dead time.
 
-The swing has to look like it: each peak s = exp(-pi zeta/sqrt(1 - zeta^2)) times the one before, with the zeta of the
-period. A tone from outside (s = 1 at any period), and integral action against a dead time, decay otherwise.
-
-Both settings grow alike, so Kc/tau_I stays: loads are integrated away as before, and the loop becomes no faster than
-the cure needs.
+Both settings grow alike, so Kc/tau_I stays: loads are integrated away as before.
 """
 
 import math
