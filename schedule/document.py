@@ -1,11 +1,10 @@
 """Gain table to TOML text and back: what a person reads, diffs and keeps under version control.
 
 The text is versioned (`schema`), lists the regions in their order, names the form of every set (always parallel) and
-adds the ideal form as a comment, which is not read. Floats are written as repr does: the round trip is exact.
-One axis without a filter is written as [schedule]. What needs more is written with an [[axis]] for each of one or two,
-and with two in each [[region]] its cell, counted from 1 along each axis; the sets may then stand in any order.
-Reading is strict: what is unknown, missing or out of range is refused with one line that says where. No file is
-touched here.
+adds the ideal form as a comment, which is not read. Floats are written as repr does: the round trip is exact. One axis
+without a filter is written as [schedule]. What needs more is written with an [[axis]] for each of one or two, and with
+two in each [[region]] its cell, counted from 1 along each axis; the sets may then stand in any order. Reading is
+strict: what is unknown, missing or out of range is refused with one line that says where. No file is touched here.
 
 One section of a TOML text, read strictly: every value by key and kind, every error one line that says where.
 

@@ -7,9 +7,8 @@ nothing in common but their periods, periods within SAME_PERIOD must do. The lik
     the one loop whose own tuning swings
     the strongest third harmonic              what is passed on is filtered (Thornhill, Cox & Paulonis 2003)
 
-Where several loops' tuning swings, or of two loops nothing is bent, they swing against each other: an interaction.
-So do two that read as too strong each by itself and whose oscillations after every upset keep step, though they die
-away.
+Where several loops' tuning swings, or of two loops nothing is bent, they swing against each other: an interaction. So
+do two that read as too strong each by itself and whose oscillations after every upset keep step, though they die away.
 Which is earlier is not asked: feedback turns the phase of the error; roots came a fifth of a period before or after.
 """
 

@@ -7,13 +7,12 @@
 x takes co's place in the likelihood of wandering_load.py, or z that of pv, times dz/dpv (Box & Cox 1964). With x noise
 is as large everywhere, with z loads go through the same gain as co: the one holds where noise makes most of what no
 model foretells, the other where loads do. Only what co does from where it is counts, so no resting point has to be
-known, and a self-regulating process and a tank are told by the same series. A linear loop has little to gain from h:
-of 120 in the world of benchmarks/world none had a B over 0.7, of 80 that bend 22 over e (17 with x alone). One
-process explains all windows and records: a range of pv that one window alone visits says nothing, two ranges do. The
-mean over h is the price of its numbers. Where the grid says that a record bends, both sides have the process that suits
-them best (process_grid.py), and a load that jumps once: one row of a setpoint step that no process makes would be bent
-into place. More jumps make a bend at every step. Where z bends, its rival has loads alone that change along pv: x of
-dco/h.
+known, and a self-regulating process and a tank are told by the same series. A linear loop has little to gain from h: of
+120 in the world of benchmarks/world none had a B over 0.7, of 80 that bend 22 over e (17 with x alone). One process
+explains all windows and records: a range of pv that one window alone visits says nothing, two ranges do. The mean over
+h is the price of its numbers. Where the grid says that a record bends, both sides have the process that suits them best
+(process_grid.py), and a load that jumps once: one row of a setpoint step that no process makes would be bent into
+place. More jumps make a bend at every step. Where z bends, its rival has loads alone that change along pv: x of dco/h.
 """
 
 import math

@@ -4,10 +4,9 @@ a mode; and what they must not do at the controller: turn its action.
 An approved proposal is put to the guard again, with what is known now, and is written whole or not at all: what was
 approved is what was looked at. Where nothing is known of the region (the proposal is of the session before this one)
 the limits per change hold it, but not on the way to less of everything: a proposal that calms may be as large as its
-loop is unstable. Then it is on trial as any change.
-The way back leads to a set that has run before, so the limits per change do not hold it; the absolute ones do, and a
-set that is likelier to be unstable than the active one is refused (trial/rollback.py). While a change is
-on trial the way back is its rollback.
+loop is unstable. Then it is on trial as any change. The way back leads to a set that has run before, so the limits per
+change do not hold it; the absolute ones do, and a set that is likelier to be unstable than the active one is refused
+(trial/rollback.py). While a change is on trial the way back is its rollback.
 """
 
 from dataclasses import replace

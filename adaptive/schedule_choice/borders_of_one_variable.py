@@ -1,10 +1,9 @@
 """The fewest sets of gains along one variable with which every place meets its limits: where borders or knots lie.
 
-Steps: every set serves the places round its own up to where it first fails; the fewest such ranges that cover the
-whole are found from below, each time the one that reaches farthest. Borders stand in the middle of what both
-sides serve. Interpolation: knots at places with their own sets, a way from knot to knot is open when every place
-between meets its limits with the mean of both; the fewest knots are the shortest way. The first and last sets
-hold beyond their knots.
+Steps: every set serves the places round its own up to where it first fails; the fewest such ranges that cover the whole
+are found from below, each time the one that reaches farthest. Borders stand in the middle of what both sides serve.
+Interpolation: knots at places with their own sets, a way from knot to knot is open when every place between meets its
+limits with the mean of both; the fewest knots are the shortest way. The first and last sets hold beyond their knots.
 """
 
 from collections.abc import Sequence

@@ -10,14 +10,13 @@ before the change; r is the ratio of one's extreme to the last one's.
     pv at an end of its range, twice   RUNAWAY   in two half waves, further off than ever under the set before
     at one limit for limited_s         SATURATED the trial shows nothing of the gains
 
-A half wave that was under way when the trial began may have had its extreme before: nothing is measured against it.
-A half wave in which the output stood at a limit is that of an open loop under a known input: it is passed over, and the
-next one is measured against the last free one.
-All counts begin anew with a setpoint change that could make such a swing, not with one that is small against it (a
-setpoint that another loop moves at every sample would blind the watch), and after a rest: when the error kept to its
-band for longer than the half wave before took, what comes is another upset. `grows` and `stays` are never below what
-was promised, nor below what the gains before did on the best model: then undoing would be no cure. Six comparisons a
-sample.
+A half wave that was under way when the trial began may have had its extreme before: nothing is measured against it. A
+half wave in which the output stood at a limit is that of an open loop under a known input: it is passed over, and the
+next one is measured against the last free one. All counts begin anew with a setpoint change that could make such a
+swing, not with one that is small against it (a setpoint that another loop moves at every sample would blind the watch),
+and after a rest: when the error kept to its band for longer than the half wave before took, what comes is another
+upset. `grows` and `stays` are never below what was promised, nor below what the gains before did on the best model:
+then undoing would be no cure. Six comparisons a sample.
 """
 
 import math

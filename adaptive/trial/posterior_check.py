@@ -31,10 +31,9 @@ UPSETS = (Upset(setpoint=1.0), Upset(load_step=1.0))
 @dataclass(frozen=True, slots=True)
 class PosteriorCheck:
     """ms_tried, ms_most : least and greatest Ms of the tried set over the models. ms_old : greatest of the old one;
-    infinite where unstable. robuster : the old set has the smaller Ms on every model. slower : least J, see the head
-    of this file; 0 where it is not known. settled : settings could follow from what is known; to speak against a set it
-    is enough that all allowed models do so. agreed : several records before this response
-    agree with it.
+    infinite where unstable. robuster : the old set has the smaller Ms on every model. slower : least J, see the head of
+    this file; 0 where it is not known. settled : settings could follow from what is known; to speak against a set it is
+    enough that all allowed models do so. agreed : several records before this response agree with it.
     """
 
     ms_tried: float

@@ -24,8 +24,8 @@ What a response looks like, in numbers by name: peaks of the error, and what pv 
                     unless a limit holds it; besides overshoot, damping, period_s, times between peaks (response.py)
     after a load    rise_s, until the error is largest; tail_s, from there until it stays inside the noise band;
                     rebound, how far it grows again on its way back, as a share of its largest value; left_bands, how
-                    far pv was from its setpoint just before (a tail of the last response); co_way, how far co ended from
-                    where it began, as a share of its travel; co_overshoot: a load d at the input is answered by
+                    far pv was from its setpoint just before (a tail of the last response); co_way, how far co ended
+                    from where it began, as a share of its travel; co_overshoot: a load d at the input is answered by
                     co = co_0 - T d, so co overshoots as pv would after a setpoint step, whatever the error's sign
     after a step    tenth_s, until pv has made a tenth of its way from rest: the dead time and a little more (a
                     second-order process takes 0.45 of its radians for that)

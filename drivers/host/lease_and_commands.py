@@ -37,10 +37,9 @@ COUNTER_LEAP = 100  # after "stale": an earlier host of this name has counted el
 class LeaseKeeper:
     """The lease of one device, seen from one host: asked for, prolonged at a third of its length; who else holds it.
 
-    The device alone decides. While another host holds the lease this one observes and asks again from time to time.
-    Two clocks may keep it: the polls of the host (`due`), and a timer of the link (`prolong`), which goes on while the
-    host is busy with something else; but not for ever, because a host that hangs must lose its lease as one that has
-    died.
+    The device alone decides. While another host holds the lease this one observes and asks again from time to time. Two
+    clocks may keep it: the polls of the host (`due`), and a timer of the link (`prolong`), which goes on while the host
+    is busy with something else; but not for ever, because a host that hangs must lose its lease as one that has died.
 
     owner : this host's number. samples : length of the lease in controller samples. length_s : the same in s.
     timeout_s : how long to wait for an answer, s.

@@ -1,8 +1,7 @@
 """MF4: the one format of bus traffic whose library takes longer to load than all the rest of python-can together.
 
-python-can loads asammdf, and pandas with it, wherever it is installed, also where no MF4 is ever read: up to a
-second of each command. So the command line hides it until an MF4 is opened. In other people's programs nothing is
-hidden.
+python-can loads asammdf, and pandas with it, wherever it is installed, also where no MF4 is ever read: up to a second
+of each command. So the command line hides it until an MF4 is opened. In other people's programs nothing is hidden.
 """
 
 import contextlib

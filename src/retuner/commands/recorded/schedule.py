@@ -116,11 +116,8 @@ def _read(options: ScheduleOptions, others: list[str]) -> list[LoopRecord]:
         try:
             return [read_record(options.files, options, others=others)]
         except RecordingError as together:
-            try:  # whole records, but for a column that is asked for beside the loop
-                any(read_record([file], options) is None for file in options.files)
-            except RecordingError:
-                raise together from None
-            raise alone from None
+            beside = any(f'no column "{name}"' in str(alone) for name in others)
+            raise (alone if beside else together) from None
 
 
 def _in_force(path: Path) -> GainTable:
