@@ -11,8 +11,9 @@ known, and a self-regulating process and a tank are told by the same series. A l
 120 in the world of benchmarks/world none had a B over 0.7, of 80 that bend 22 over e (17 with x alone). One process
 explains all windows and records: a range of pv that one window alone visits says nothing, two ranges do. The mean over
 h is the price of its numbers. Where the grid says that a record bends, both sides have the process that suits them best
-(process_grid.py), and a load that jumps once: one row of a setpoint step that no process makes would be bent into
-place. More jumps make a bend at every step. Where z bends, its rival has loads alone that change along pv: x of dco/h.
+(process_grid.py), and a load that jumps a few times: rows of one setpoint step that no process makes would be bent into
+place. As many as pay make a bend at every step. Where z bends, its rival has loads alone that change along pv: x of
+dco/h.
 """
 
 import math
@@ -40,6 +41,7 @@ from retuner.schedule.late_dataclass import dataclass, replace
 
 RATIOS = (0.2, 0.4, 2.5, 5.0)  # gain at the top of pv's range over that at the bottom, where it changes evenly
 STEP_RATIOS = (1.0 / 3.0, 3.0)  # ratios where the gain changes in the middle of the range
+FEW_JUMPS = 3  # of a load, beside either side
 TAILS = 0.01  # share of the samples at either end that the range of pv leaves out
 
 
@@ -124,7 +126,7 @@ def _closely(side: Side, weights: Sequence[float], direction: int) -> float:
     for (record, _, rows), weight in zip(side, weights, strict=True):
         walks = [under_loads(record, rows, o.lag, NEAR_LOADS, (o.dead,), seconds=(o.second,)) for o in found]
         walk = max(float(np.max(fit.tempered(fit.gain[..., None]))) for fit in walks)
-        jumping = Given(record, direction, NO_TONE).with_jumps(rows[0], found, 1).told / TEMPER
+        jumping = Given(record, direction, NO_TONE).with_jumps(rows[0], found, FEW_JUMPS).told / TEMPER
         more += weight * float(np.logaddexp(0.0, jumping - walk))
     return max(one.told for one in found) + more
 

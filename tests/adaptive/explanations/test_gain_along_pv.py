@@ -45,6 +45,13 @@ def test_a_linear_loop_is_not_told_so() -> None:
     assert weighed(tank(1.0)).log_bayes < -5.0
 
 
+def test_odd_rows_of_one_setpoint_step_are_not_bent_into_place() -> None:
+    linear = tank(1.0, (20.0, 24.0), 120)
+    pv = linear.pv.copy()
+    pv[123:126] += (1.5, -1.0, 1.5)
+    assert weighed(replace(linear, pv=pv)).log_bayes < 0.0
+
+
 def test_a_gain_that_loads_go_through_as_well_is_told() -> None:
     rng, y, total = np.random.default_rng(2), 0.0, 0.0
     load, sp = np.cumsum(rng.standard_normal(400)) * 0.05, np.repeat([0.0, 4.0, 8.0, 4.0], 100)
@@ -55,7 +62,7 @@ def test_a_gain_that_loads_go_through_as_well_is_told() -> None:
         co[i] = sp[i] - y + total
         y += 0.1 * math.exp(0.15 * (y - 4.0)) * (co[i] + load[i])
     found = weighed(Window(np.arange(400.0), sp, pv, co))
-    assert found.log_bayes > 10.0
+    assert found.log_bayes > 5.0
     assert found.ratio > 1.0
 
 
