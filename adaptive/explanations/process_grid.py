@@ -35,7 +35,10 @@ LAGS = (0.5, 1.0, 2.0, 3.0, 4.5, 7.0, 10.0, 15.0, 22.0, 33.0, 50.0, 80.0, 130.0,
 RUNAWAY_LAGS = (-8.0, -16.0, -33.0, -66.0, -130.0)
 """Lags of processes that run away, each growing by a factor of e in so many samples. The book has them."""
 SECOND_SHARES = (0.0, 0.15, 0.4, 0.8)  # second lag as a share of the first
-SECOND_OF_INTEGRATING = 40.0  # the lag of which the same shares are a second lag where the process integrates, samples
+SHORT, LONG, BEHIND_VAST = 2.5, 50.0, (0.0, 2.5, 8.0, 25.0)
+"""A short second lag, samples, and the first lag from which it is tried besides: valve, pipe and sensor know nothing of
+how large a tank is. And all second lags of a first one over twice as long, or without end.
+"""
 LEAST_SECOND = 0.6  # A second lag that is shorter (in samples) cannot be seen
 DEAD_TIMES = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 13.0, 17.0, 25.0, 40.0, 63.0, 100.0, 160.0)
 """Dead times of the grid, in samples. A loop that is sampled finely may have one far longer than its integral time."""
@@ -70,9 +73,10 @@ class ProcessShape:
 @cache
 def second_lags(lag: float) -> tuple[float, ...]:
     """The second lags of a first one, zero first; in samples."""
-    base = SECOND_OF_INTEGRATING if math.isinf(lag) else abs(lag)
-    shares = SECOND_SHARES if lag > 0 else SECOND_SHARES[:2]
-    return tuple(share * base for share in shares if not share or share * base >= LEAST_SECOND)
+    if lag > 2.0 * LONG:
+        return BEHIND_VAST
+    shares, short = SECOND_SHARES if lag > 0 else SECOND_SHARES[:2], (SHORT,) if lag >= LONG else ()
+    return (0.0, *short, *(share * abs(lag) for share in shares[1:] if share * abs(lag) >= LEAST_SECOND))
 
 
 @cache
@@ -202,11 +206,14 @@ def gain_unit(gains: PidGains, sample_time_s: float) -> float:
 class LoopRobustness:
     """How robust a controller is on every process of the grid; arrays of shape (shapes, dead times, gains).
 
-    ms : largest sensitivity, infinite where the loop is unstable. ultimate : the loop gain at which it becomes
-        unstable, shape (shapes, dead times, 1); zero where no gain is stable. scale : loop gains are counted in it.
+    ms : largest sensitivity, infinite where the loop is unstable. swing : frequency at which the loop comes nearest to
+        -1, rad per sample; of an unstable one that of the largest gain that is stable. ultimate : the loop gain at
+        which it becomes unstable, shape (shapes, dead times, 1); zero where no gain is stable. scale : loop gains are
+        counted in it.
     """
 
     ms: FloatArray
+    swing: FloatArray
     ultimate: FloatArray
     scale: float
 
@@ -236,11 +243,15 @@ def robustness(gains: PidGains, sample_time_s: float, unit: float | None = None)
     scale = own / (own if unit is None else unit)
     longest = np.argsort(-ultimate, axis=None)  # those that stay stable longest come first: the others need no margin
     loop, limits = loop.reshape(-1, len(FREQUENCIES))[longest], ultimate.ravel()[longest]
-    ms = np.full((len(loop), len(GAINS)), np.inf)
+    ms, swing = np.full((len(loop), len(GAINS)), np.inf), np.zeros((len(loop), len(GAINS)))
     for i, gain in enumerate(GAINS * scale):
-        stable = int(np.sum(limits > gain))
-        ms[longest[:stable], i] = 1.0 / np.min(np.abs(1.0 + gain * loop[:stable]), axis=1)
-    return LoopRobustness(ms.reshape(*size.shape[:2], len(GAINS)), ultimate, scale)
+        stable, rows = int(np.sum(limits > gain)), np.arange(len(loop))
+        away = np.abs(1.0 + gain * loop[:stable])
+        at = np.argmin(away, axis=1)
+        swing[:, i] = swing[:, i - 1] if i else 0.0
+        ms[longest[:stable], i], swing[longest[:stable], i] = 1.0 / away[rows[:stable], at], FREQUENCIES[at]
+    form = (*size.shape[:2], len(GAINS))
+    return LoopRobustness(ms.reshape(form), swing.reshape(form), ultimate, scale)
 
 
 def _ultimate(size: FloatArray, phase: FloatArray) -> FloatArray:

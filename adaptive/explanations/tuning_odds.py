@@ -15,19 +15,15 @@ import numpy as np
 
 from retuner.adaptive.explanations.process_grid import (
     DEAD_TIMES,
-    FREQUENCIES,
     GAINS,
     LoopRobustness,
-    control_law,
-    gain_unit,
-    responses_of,
     robustness,
     shapes,
     units,
 )
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.gains import PidGains
-from retuner.schedule.late_dataclass import dataclass, replace
+from retuner.schedule.late_dataclass import dataclass
 
 CLASSES = ("ok", "aggressive", "slow_integrating", "sluggish")
 
@@ -118,29 +114,11 @@ def tuning_odds(
             among = usual_ones[of_class]
             weights[of_class] = likelihood[of_class] * (prior[name] / float(among.sum())) * among
     weights /= float(weights.sum())
-    found = TuningOdds(weights, {}, known, gains, sample_time_s)
-    return replace(found, classes=_shares_of(found, classes, limits))
-
-
-def _shares_of(odds: TuningOdds, classes: FloatArray, limits: TuningLimits) -> dict[str, float]:
-    """Probability by class. classes : of class_of; a tight loop that swings slowly has too much integral action."""
-    gains, sample_time_s, weights = odds.gains, odds.sample_time_s, odds.weights
+    slowly = known.swing * abs(gains.kp) < limits.reset * sample_time_s * abs(gains.ki)
+    slow = slowly & bool(gains.kp) & (classes == CLASSES.index("aggressive"))  # too much integral action
+    classes = np.where(slow, CLASSES.index("slow_integrating"), classes)
     shares = {name: float(weights[classes == i].sum()) for i, name in enumerate(CLASSES)}
-    if gains.kp and gains.ki:
-        tight = np.where(classes == CLASSES.index("aggressive"), weights, 0.0)
-        at = np.nonzero(tight > LEAST_ODDS * float(tight.max()))
-        loop = responses_of(at[0], at[1]) * (control_law(gains, sample_time_s) / gain_unit(gains, sample_time_s))
-        away = np.abs(1.0 + (GAINS[at[2]] * odds.robustness.scale)[:, None] * loop)
-        swing = FREQUENCIES[np.argmin(away, axis=1)]  # where each loop comes nearest to -1, rad per sample
-        moved = float(tight[at] @ (swing * abs(gains.kp / gains.ki) < limits.reset * sample_time_s))
-        shares["aggressive"], shares["slow_integrating"] = (
-            shares["aggressive"] - moved,
-            shares["slow_integrating"] + moved,
-        )
-    return shares
-
-
-LEAST_ODDS = 1e-3  # share of the likeliest process's odds below which nobody asks how a loop would swing
+    return TuningOdds(weights, shares, known, gains, sample_time_s)
 
 
 def _usual(
