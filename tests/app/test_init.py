@@ -10,6 +10,7 @@ from command_line import refused
 from pi_loop import Lag, pi_loop, written
 
 from retuner import PidGains, load_config
+from retuner.adaptive.signals.sample import Window
 from retuner.cli import main
 from retuner.config.plants import IdentifiedPlantConfig
 from retuner.schedule.late_dataclass import replace
@@ -21,10 +22,15 @@ def answered(monkeypatch: pytest.MonkeyPatch, file: Path, *answers: str) -> None
 
 
 def record(path: Path, *, co: float = 1.0) -> Path:
-    """A loop with Kc 3 and tau_I 20 s on a lag of 20 s; co : scale of its column."""
-    sp, noise = np.where(np.arange(300) >= 100, 53.0, 50.0), 0.05 * np.random.default_rng(3).normal(size=300)
-    found = pi_loop(PidGains(3.0, 0.15), Lag(20.0, 3, at=50.0), sp, noise, co0=50.0)
+    """The same as a file. co : scale of its column."""
+    found = loop_record()
     return written(path, replace(found, co=co * found.co))
+
+
+def loop_record() -> Window:
+    """A loop with Kc 3 and tau_I 20 s on a lag of 20 s."""
+    sp, noise = np.where(np.arange(300) >= 100, 53.0, 50.0), 0.05 * np.random.default_rng(3).normal(size=300)
+    return pi_loop(PidGains(3.0, 0.15), Lag(20.0, 3, at=50.0), sp, noise, co0=50.0)
 
 
 def test_the_answers_make_the_configuration(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -72,3 +78,10 @@ def test_what_a_record_does_not_tell_is_asked_for(tmp_path: Path, capsys: pytest
     still = tmp_path / "still.csv"
     still.write_text("t,sp,pv,co\n" + "\n".join(f"{i},1,1.{i % 2},50" for i in range(60)), encoding="utf-8")
     assert "does not show the active gains; give --kc" in refused("init", file, "--force", "--from", still)
+
+
+def test_columns_that_are_not_known_are_to_be_renamed_for_init_has_no_option_that_names_them(tmp_path: Path) -> None:
+    own = written(tmp_path / "own.csv", loop_record(), ("Time", "SP1", "T1", "Q1"))
+    told = refused("init", tmp_path / "own.toml", "--from", own)
+    assert '"pv"; there is Time, SP1, T1, Q1; rename it in the record' in told
+    assert "--columns" not in told

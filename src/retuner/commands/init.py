@@ -20,6 +20,7 @@ from retuner.api import identify_record
 from retuner.commands.recorded.recorded_loop import SHARE
 from retuner.commands.signatures import InitOptions
 from retuner.drivers.historian.loop_record import read_loop_record
+from retuner.drivers.recorded.recording import RecordingError
 from retuner.errors import UserError, user_input
 from retuner.files import write_whole
 from retuner.schedule.gains import Form, PidGains, from_form, in_form
@@ -171,7 +172,11 @@ def of_record(record: Path, file: Path, given: PidGains | None) -> dict[Path, st
     Raises UserError, RecordingError: the record cannot be read, its co is not in percent, or it does not show the gains
     and none are given.
     """
-    read = read_loop_record([record], in_automatic=True)
+    try:
+        read = read_loop_record([record], in_automatic=True)
+    except RecordingError as error:
+        told, by_name, _ = str(error).partition("; name it as in --columns")
+        raise UserError(f"{told}; rename it in the record, which the run reads as well") if by_name else error from None
     window = read.recording.window()
     low, high = float(window.co.min()), float(window.co.max())
     if low < PERCENT[0] or high > PERCENT[1] or high <= SHARE[1]:
