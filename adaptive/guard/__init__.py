@@ -1,6 +1,6 @@
 """The guard: proof before change. See proof.py."""
 
-from retuner.adaptive.guard.both_sides_of_border import borders_of
+from retuner.adaptive.guard.both_sides_of_boundary import borders_of
 from retuner.adaptive.guard.guard_settings import GuardSettings
 from retuner.adaptive.guard.model_set import allowed
 from retuner.adaptive.guard.proof import prove

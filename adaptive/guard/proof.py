@@ -17,7 +17,7 @@ import math
 from collections.abc import Iterator, Sequence
 
 from retuner.adaptive.decision_numbers import NO_NUMBERS, Numbers
-from retuner.adaptive.guard.both_sides_of_border import at_border, no_worse
+from retuner.adaptive.guard.both_sides_of_boundary import at_border, no_worse
 from retuner.adaptive.guard.checks import (
     evidence_checks,
     evidence_doubt,

@@ -10,12 +10,12 @@ from retuner.adaptive.fit.record import setpoint_changes
 from retuner.adaptive.identification.first_step import FirstStep, first_step
 from retuner.adaptive.identification.robust_simc import RobustTuning
 from retuner.adaptive.rules.rule import Tuning
-from retuner.adaptive.schedule_choice.borders_of_one_variable import (
+from retuner.adaptive.schedule_choice.boundaries_of_one_variable import (
     Layout,
     borders_of_fewest_sets,
     knots_of_fewest_sets,
 )
-from retuner.adaptive.schedule_choice.borders_of_two_variables import COUNT, Cells, cells
+from retuner.adaptive.schedule_choice.boundaries_of_two_variables import COUNT, Cells, cells
 from retuner.adaptive.schedule_choice.scheduling_variables import (
     RegionCrossing,
     SchedulingVariable,

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from retuner.adaptive.controller_settings.read_off import settings_in_force
-from retuner.adaptive.schedule_choice.borders_of_one_variable import mean_of
+from retuner.adaptive.schedule_choice.boundaries_of_one_variable import mean_of
 from retuner.adaptive.schedule_design.curve_shapes import SIMPLER
 from retuner.adaptive.schedule_design.curves import Curves, Progress, curves
 from retuner.adaptive.schedule_design.motion import recursion

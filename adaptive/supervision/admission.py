@@ -301,7 +301,7 @@ def _of_loop(
 
     own : samples of the response itself; during : their places in the window.
     """
-    # It stayed inside, where it is not taken as one that crossed a border (region_model/border_crossing.py)
+    # It stayed inside, where it is not taken as one that crossed a border (region_model/boundary_crossing.py)
     outside = sum(inside is not None and not inside(sample) for sample in own) / len(own)
     yield _at_most(settings.outside_share, AdmissionNumbers(outside_share=outside), outside, Ground.LEFT_REGION)
     # One controller all the time, as the controller itself reports it

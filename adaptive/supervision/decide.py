@@ -24,7 +24,7 @@ from retuner.adaptive.decision_numbers import Basis
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import SWINGING
 from retuner.adaptive.guard import GuardSettings, Proof, prove
-from retuner.adaptive.guard.both_sides_of_border import worst_between
+from retuner.adaptive.guard.both_sides_of_boundary import worst_between
 from retuner.adaptive.guard.step_size import along
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import ANEW, Agreement

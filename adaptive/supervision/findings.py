@@ -21,7 +21,7 @@ from retuner.adaptive.diagnosis.oscillation_online import stretch, swings, whole
 from retuner.adaptive.diagnosis.second_opinion import SWINGING, Excitation, from_rest_to_rest, is_clear
 from retuner.adaptive.diagnosis.swing_checks import FOREIGN_SWINGS, at_own_crossover, touches_limits
 from retuner.adaptive.diagnosis.wrong_way import acts_wrong_way
-from retuner.adaptive.guard.both_sides_of_border import eased, worst_between
+from retuner.adaptive.guard.both_sides_of_boundary import eased, worst_between
 from retuner.adaptive.guard.step_size import less_of_everything
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
@@ -498,7 +498,7 @@ BETWEEN = "ms_between"  # evidence that a set is over its limit on the way to a 
 
 def tuning_of(known: KnownProcesses, region: int, in_force: PidGains) -> RobustProposal:
     """What the rule gives for a region, eased to what its part of the ways to the neighbours bears, and whether its
-    tuning is a cause (guard/both_sides_of_border.py).
+    tuning is a cause (guard/both_sides_of_boundary.py).
 
     In an interpolated table what ran, in_force, is a mean of several sets: asked is what the region's own does.
     """

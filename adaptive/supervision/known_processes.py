@@ -8,7 +8,7 @@ from functools import cached_property, partial
 
 from retuner.adaptive.explanations.book import ODD, Book
 from retuner.adaptive.explanations.settings_by_book import spread
-from retuner.adaptive.guard.both_sides_of_border import borders_of, likeliest_between, mixed
+from retuner.adaptive.guard.both_sides_of_boundary import borders_of, likeliest_between, mixed
 from retuner.adaptive.guard.model_set import allowed
 from retuner.adaptive.guard.request import ChangeRequest, Evidence, NeighbourBorder, Support
 from retuner.adaptive.identification.estimate import LogModel

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from retuner.adaptive.region_model.border_crossing import (
+from retuner.adaptive.region_model.boundary_crossing import (
     Crossing,
     fitted_crossing,
     taught_beside,

@@ -12,7 +12,7 @@ import numpy as np
 
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.explanations.book import Book
-from retuner.adaptive.region_model.border_crossing import ways_of
+from retuner.adaptive.region_model.boundary_crossing import ways_of
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import LoopSample, Window

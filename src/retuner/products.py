@@ -10,7 +10,7 @@ from types import ModuleType
 HOMES = {
     "foreign device": "config.described",
     "plants": "config.bench_plants",
-    "another schedule": "adaptive.region_model.proposed_borders",
+    "another schedule": "adaptive.region_model.proposed_boundaries",
     "pretune": "session.pretuning",
     "one plant": "one_plant.loops_of_one_plant",
     "page": "serve.page_beside_run",

@@ -11,8 +11,8 @@ from retuner.adaptive import display_hook
 from retuner.adaptive.controller_settings.read_off import settings_in_force
 from retuner.adaptive.indexes.days import at_gaps
 from retuner.adaptive.process.model import ProcessModel
-from retuner.adaptive.schedule_choice.borders_of_one_variable import Layout
-from retuner.adaptive.schedule_choice.borders_of_two_variables import COUNT, Cells
+from retuner.adaptive.schedule_choice.boundaries_of_one_variable import Layout
+from retuner.adaptive.schedule_choice.boundaries_of_two_variables import COUNT, Cells
 from retuner.adaptive.schedule_choice.schedule_from_records import (
     Design,
     NextExperiment,

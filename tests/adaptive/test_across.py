@@ -11,7 +11,7 @@ from retuner.adaptive.fit.structure import parameters_of
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.identify import Fits, FitSettings
 from retuner.adaptive.identification.structure_choice import ON_LINE
-from retuner.adaptive.region_model.border_crossing import (
+from retuner.adaptive.region_model.boundary_crossing import (
     Crossing,
     FittedCrossing,
     fitted_crossing,

@@ -11,13 +11,13 @@ from effort import sized
 
 from retuner import Axis, GainTable, Lookup, PidGains, ProcessType, Regions
 from retuner.adaptive.identification.estimate import LogModel
-from retuner.adaptive.region_model.proposed_borders import (
+from retuner.adaptive.region_model.proposed_boundaries import (
     MS_END,
     Refinement,
     best_of,
     in_force,
     place_by,
-    proposed_borders,
+    proposed_boundaries,
 )
 from retuner.adaptive.region_model.region_model import RecordPoint, RegionModel, StructureModel
 from retuner.adaptive.region_model.split_or_merge import (
@@ -256,7 +256,7 @@ def one_set() -> GainTable:
 
 @pytest.fixture(scope="module")
 def found(one_set: GainTable) -> Refinement:
-    proposed = proposed_borders(one_set, rising(STEEP), 0.0, 1.0, STILL)
+    proposed = proposed_boundaries(one_set, rising(STEEP), 0.0, 1.0, STILL)
     assert proposed is not None
     return proposed
 
@@ -281,12 +281,12 @@ def test_what_is_proposed_serves_more_places_of_the_true_process(found: Refineme
 
 
 def test_the_same_values_give_the_same_proposal(one_set: GainTable, found: Refinement) -> None:
-    assert proposed_borders(one_set, rising(STEEP), 0.0, 1.0, STILL) == found
+    assert proposed_boundaries(one_set, rising(STEEP), 0.0, 1.0, STILL) == found
 
 
 @pytest.mark.parametrize("factor", [1.0, 1.8])
 def test_wrong_sets_in_regions_that_one_set_can_serve_ask_for_no_other_regions(factor: float) -> None:
-    assert proposed_borders(table_of(*[best(0.2)] * 3), rising(factor), 0.0, 1.0, STILL) is None
+    assert proposed_boundaries(table_of(*[best(0.2)] * 3), rising(factor), 0.0, 1.0, STILL) is None
 
 
 @pytest.mark.parametrize(
@@ -301,22 +301,22 @@ def test_wrong_sets_in_regions_that_one_set_can_serve_ask_for_no_other_regions(f
     ids=["one region", "too few records", "vague", "not settled", "nothing"],
 )
 def test_what_is_not_known_proposes_nothing(models: dict[int, RegionModel], one_set: GainTable) -> None:
-    assert proposed_borders(one_set, models, 0.0, 1.0, STILL) is None
+    assert proposed_boundaries(one_set, models, 0.0, 1.0, STILL) is None
 
 
 def test_age_takes_the_proposal_away(one_set: GainTable) -> None:
     walks = replace(STILL, walk_per_day=0.3)
-    assert proposed_borders(one_set, rising(STEEP), 86400.0 * 9, 1.0, walks) is None
+    assert proposed_boundaries(one_set, rising(STEEP), 86400.0 * 9, 1.0, walks) is None
 
 
 def test_a_table_that_is_interpolated_is_left_alone() -> None:
     table = table_of(*[best(1.0)] * 3, lookup=Lookup.INTERPOLATED)
-    assert proposed_borders(table, rising(STEEP), 0.0, 1.0, STILL) is None
+    assert proposed_boundaries(table, rising(STEEP), 0.0, 1.0, STILL) is None
 
 
 def test_no_boundary_stands_nearer_to_another_than_its_hysteresis() -> None:
     narrow = Regions("pv", "degC", ("low", "middle", "high"), 0.0, (33.0, 67.0), 99.0, 16.0)
-    found = proposed_borders(table_of(*[best(1.0)] * 3, regions=narrow), rising(STEEP), 0.0, 1.0, STILL)
+    found = proposed_boundaries(table_of(*[best(1.0)] * 3, regions=narrow), rising(STEEP), 0.0, 1.0, STILL)
     assert found is None or found.table.lookup is Lookup.INTERPOLATED
 
 

@@ -13,8 +13,8 @@ from command_line import printed, refused
 from recorded import SHORT, bodies, rewritten, run_short
 
 from retuner import GainTable, PidGains, Regions
-from retuner.adaptive.region_model import proposed_borders
-from retuner.adaptive.region_model.proposed_borders import Refinement
+from retuner.adaptive.region_model import proposed_boundaries
+from retuner.adaptive.region_model.proposed_boundaries import Refinement
 from retuner.adaptive.schedule_design.places import DesignLimits
 from retuner.cli import main
 from retuner.commands.approve import _full_hash, places
@@ -43,7 +43,7 @@ def proposal(table: GainTable = OTHER) -> Refinement:
 
 def asking_for(patch: pytest.MonkeyPatch, found: Refinement | None) -> None:
     """What the records of every session ask for."""
-    patch.setattr(proposed_borders, "proposed_borders", lambda *_: found)
+    patch.setattr(proposed_boundaries, "proposed_boundaries", lambda *_: found)
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from pi_loop import Lag, pi_loop, written
 
 import retuner
 from retuner import Lookup, PidGains
-from retuner.adaptive.schedule_choice.borders_of_two_variables import Cells
+from retuner.adaptive.schedule_choice.boundaries_of_two_variables import Cells
 from retuner.adaptive.schedule_choice.schedule_from_records import Design, VariableEvidence
 from retuner.adaptive.signals.sample import Window
 from retuner.cli import main

@@ -9,7 +9,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
 
-from retuner.adaptive.region_model.proposed_borders import Refinement
+from retuner.adaptive.region_model.proposed_boundaries import Refinement
 from retuner.adaptive.region_model.split_or_merge import AdviceSettings, RegionAdvice, region_advice
 from retuner.adaptive.supervision.decision import gains_dict
 from retuner.adaptive.trial.phase import TrialPhase

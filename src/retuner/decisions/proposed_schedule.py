@@ -19,7 +19,7 @@ from retuner.schedule.regions import CAN
 from retuner.schedule.table import GainTable
 
 if TYPE_CHECKING:
-    from retuner.adaptive.region_model.proposed_borders import Refinement
+    from retuner.adaptive.region_model.proposed_boundaries import Refinement
 
 ROW = "schedule"  # kind of the row
 
@@ -30,7 +30,7 @@ def refined(retuner: Retuner) -> "Refinement | None":
     if any(axis.variable == CAN for axis in retuner.table.regions.axes) or any(one is not None for one in held):
         return None  # a region that somebody holds stays as it is; a signal's message stands in the configuration alone
     models, now_s = retuner.region_models, max((one.t_s for one in retuner.region_models.values()), default=0.0)
-    found: Refinement | None = product("another schedule").proposed_borders(
+    found: Refinement | None = product("another schedule").proposed_boundaries(
         retuner.table, models, now_s, retuner.settings.sample_time_s, retuner.settings.tracker
     )
     return found

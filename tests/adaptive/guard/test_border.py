@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from retuner import Axis, GainTable, Lookup, PidGains, ProcessModel, ProcessType, Regions
 from retuner.adaptive.guard import GuardSettings, NeighbourBorder, Ruling, borders_of, prove
-from retuner.adaptive.guard.both_sides_of_border import at_border, between_models
+from retuner.adaptive.guard.both_sides_of_boundary import at_border, between_models
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.rules.rule import Tuning

@@ -8,7 +8,7 @@ import pytest
 from test_cover import LIMITS, place
 
 from retuner import Axis, GainTable, Lookup, Regions
-from retuner.adaptive.schedule_choice.borders_of_two_variables import COUNT, Cells, cells
+from retuner.adaptive.schedule_choice.boundaries_of_two_variables import COUNT, Cells, cells
 from retuner.adaptive.schedule_design.places import Place
 
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from retuner import Lookup, PidGains, ProcessModel, ProcessType
 from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.schedule_choice import schedule_from_records
-from retuner.adaptive.schedule_choice.borders_of_one_variable import (
+from retuner.adaptive.schedule_choice.boundaries_of_one_variable import (
     Layout,
     borders_of_fewest_sets,
     knots_of_fewest_sets,

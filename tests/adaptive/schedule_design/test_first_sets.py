@@ -8,7 +8,7 @@ import pytest
 
 from retuner import Lookup, PidGains
 from retuner.adaptive.identification.first_step import MOST_AT_ONCE, MOST_OF_A_RECORD
-from retuner.adaptive.schedule_choice.borders_of_one_variable import Layout
+from retuner.adaptive.schedule_choice.boundaries_of_one_variable import Layout
 from retuner.adaptive.schedule_choice.schedule_from_records import Design, first_sets
 from retuner.adaptive.schedule_design.places import DesignLimits, Place, place_of
 from retuner.adaptive.signals.sample import Window

@@ -22,7 +22,7 @@ from retuner.adaptive.region_model.region_curves import curves, lenders
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.split_or_merge import features
 from retuner.adaptive.region_model.update import TrackerSettings
-from retuner.adaptive.schedule_choice.borders_of_one_variable import CALMER, times
+from retuner.adaptive.schedule_choice.boundaries_of_one_variable import CALMER, times
 from retuner.adaptive.schedule_design.places import LEAST_STD, OUT, DesignLimits, Place, place_on
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass
@@ -155,7 +155,7 @@ def _ms(value: float) -> str:
     return f"{value:.2f}" if math.isfinite(value) else "that of an unstable loop"
 
 
-def proposed_borders(
+def proposed_boundaries(
     table: GainTable,
     region_models: Mapping[int, RegionModel],
     t_s: float,

@@ -11,7 +11,7 @@ from itertools import combinations, pairwise, product
 
 import numpy as np
 
-from retuner.adaptive.schedule_choice.borders_of_one_variable import CALMER, mean_of, times
+from retuner.adaptive.schedule_choice.boundaries_of_one_variable import CALMER, mean_of, times
 from retuner.adaptive.schedule_design.places import DesignLimits, Place
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, field
