@@ -174,8 +174,25 @@ def _clock(
         rows = np.arange(len(table.places))
         return _Clock(rows, (rows * form.dt_s).astype(np.float64), as_they_stand=True), []
     stamps = _stamps(table, found, form, decimal)
+    if (again := _written_twice(table, stamps.t_s)).any():
+        stamps = replace(stamps, t_s=np.where(again, np.nan, stamps.t_s))
     rows, t_s, told = in_order(stamps.t_s, table.source)
+    if again.any():
+        told[0] = Assumption(f"{int(np.sum(again))} rows that repeat the row before: left out")
     return _Clock(rows, t_s, t_s is stamps.t_s), [*stamps.assumed, *told]
+
+
+def _written_twice(table: RawTable, t_s: FloatArray) -> np.ndarray:
+    """Rows that repeat the row before, where each row is there twice or more: samples are not so alike throughout."""
+    again = np.r_[False, np.diff(t_s) == 0]
+    if np.mean(again) < HALF:
+        return np.zeros(len(t_s), dtype=bool)
+    rows = np.flatnonzero(again).tolist()
+    alike = all(column[i] == column[i - 1] for column in table.columns for i in rows)
+    return again if alike else np.zeros(len(t_s), dtype=bool)
+
+
+HALF = 0.49  # share of rows that repeat the row before, from which a table was written twice
 
 
 def _stamps(

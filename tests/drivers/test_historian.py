@@ -374,6 +374,17 @@ def test_a_day_that_may_be_a_month_is_asked_for_only_where_it_matters(written: C
             is_the_loop(read_loop_record([written(text("Time,SP,PV,OP", stamps(form, begin), SP, PV, CO))]))
 
 
+def test_a_table_that_was_written_twice_is_read_once(written: Callable[..., Path]) -> None:
+    read = read_loop_record([written(text("t,sp,pv,co", *(np.repeat(x, 2) for x in (T, SP, PV, CO))))])
+    is_the_loop(read)
+    assert in_a_line(read.assumed) == "60 rows that repeat the row before: left out"
+    finer = [*PV[:-1], PV[-1] + 0.1]  # two samples to a stamp
+    fast = read_loop_record(
+        [written(text("t,sp,pv,co", np.repeat(T[: N // 2], 2), SP, np.repeat(finer[::2], 2), finer))]
+    )
+    assert "2 rows to a stamp" in in_a_line(fast.assumed)
+
+
 def test_times_of_day_without_a_date_go_on_after_midnight(written: Callable[..., Path]) -> None:
     path = written(text("time,SP,PV,OP", stamps("%H:%M:%S"), SP, PV, CO))
     is_the_loop(read_loop_record([path]))
