@@ -339,9 +339,11 @@ def _trends(
 
 def _without_filler(values: FloatArray, role: str, told: list[Assumption]) -> FloatArray:
     """The values, nan for -9999 and the like, by which systems fill what they did not get: far from all the others."""
-    for end in {float(np.nanmin(values)), float(np.nanmax(values))} if np.isfinite(values).any() else ():
+    for end in {float(of.reduce(values, initial=np.nan)) for of in (np.fmin, np.fmax)}:
+        if not FILLER.fullmatch(f"{end:g}"):
+            continue
         others = values[np.isfinite(values) & (values != end)]
-        if not FILLER.fullmatch(f"{end:g}") or len(others) < len(values) / 2:
+        if len(others) < len(values) / 2:
             continue
         if min(abs(end - float(f(others))) for f in (np.min, np.max)) > FAR_OUT * max(float(np.ptp(others)), 1.0):
             told.append(Assumption(f"{end:g} of {role} stands for a missing value", f'bad = ["{end:g}"]'))
