@@ -6,8 +6,8 @@ The expectation is over processes drawn from the book, each as likely as the oth
 between the grid's points as well (`over_cells`). A change is made where two looks in a row ask for it.
 
     less action     Ms is probably too high with the gains in force, and the set holds a process that runs away no worse
-    more action     a set with more is probably cheaper, and few processes make a bad loop of it: a share of the way
-                    where the whole is not sure, none where most processes run away, for nothing is proved on those
+    more action     a set with more is probably cheaper, and few processes make a bad loop of it (by loads alone its
+                    trial tells): a share of the way, none where most processes run away: nothing is proved on those
     integral time   no shorter than the rule's (SIMC: Skogestad 2003) on most processes: a load that comes back by
                     itself looks like a process that does
 
@@ -72,7 +72,7 @@ class BookSettings:
     restless: float = setting(0.3, "Share of samples outside the noise band from which a load wanders", "0.1..0.9")
     most: float = setting(0.7, "How much a change may save or cost on a process", "0.2..2.5", "ln 2: it is on trial")
     borne_out: float = setting(
-        2 / 3, "Odds of being better that a change needs by loads alone", "0.5..0.9", "60 changes, seeds 9331 to 9361"
+        2 / 3, "Odds of being better by loads alone, of less action", "0.5..0.9", "60 changes, seeds 9331 to 9361"
     )
     room: float = setting(1.8, "Times as much of all actions that a loop with room bears", "1.5..3")
     cost: WorthSettings = field(default_factory=lambda: WorthSettings(ms_calm=1.68, unstable_share=0.02))
@@ -158,8 +158,9 @@ def by_book(book: Book, gains: PidGains, settings: BookSettings) -> ByBook:
     if told:
         kinds += [MORE_GAIN, MORE_INTEGRAL] if high >= settings.less_odds else [MORE_GAIN]
     tried = [one for kind in kinds for one in _sets(gains, kind, integral_times, settings)]
-    leans, best = 0, _best(drawn, gains, tried, settings, more=True, told=told, tone=tone)
-    if best is not None and gain(drawn, gains, best[1], settings)[1] >= settings.more_odds:
+    leans, best = 0, _best(drawn, gains, tried, settings, more=True, told=told, tone=tone, orders=by_orders)
+    odds = settings.more_odds if told else HALF
+    if best is not None and gain(drawn, gains, best[1], settings)[1] >= odds:
         leans = 1
     elif high >= settings.less_odds:
         less = _sets(gains, LESS_OF_ALL, integral_times, settings)
@@ -171,9 +172,8 @@ def by_book(book: Book, gains: PidGains, settings: BookSettings) -> ByBook:
     unproved = leans > 0 and float(drawn.weights @ drawn.runs_away) >= 1.0 - settings.cost.bad_share
     if best is None or not leans or unproved or (leans != book.leans and not sure):
         return said
-    least = settings.cost.bad_share if leans < 0 else 0.0
-    asked = [one for one, odds in zip(by_orders, book.orders, strict=False) if odds >= least]
-    if any(gain(one, gains, best[1], settings)[1] < settings.borne_out for one in asked):
+    asked = [one for one, odds in zip(by_orders, book.orders, strict=False) if odds >= settings.cost.bad_share]
+    if leans < 0 and any(gain(one, gains, best[1], settings)[1] < settings.borne_out for one in asked):
         return said
     worth, new, peaks = best
     proved = ~drawn.runs_away & ((ms <= settings.cost.ms_bad) | (peaks < ms) | (leans < 0))
@@ -279,27 +279,21 @@ def _integral_times(book: Book, drawn: LikelyProcesses) -> FloatArray:
 
 
 def _best(
-    drawn: LikelyProcesses,
-    gains: PidGains,
-    candidates: Iterable[PidGains],
-    settings: BookSettings,
-    *,
-    more: bool,
-    told: bool,
-    tone: float,
-) -> tuple[float, PidGains, FloatArray] | None:
+    drawn: LikelyProcesses, gains: PidGains, candidates: Iterable[PidGains], settings: BookSettings, *,
+    more: bool, told: bool, tone: float, orders: Sequence[LikelyProcesses] = (),
+) -> tuple[float, PidGains, FloatArray] | None:  # fmt: skip
     """Worth, gains and Ms on each process of the candidate that is most worth a change; None where none is."""
     (stays, before), found = costs(drawn, gains, settings.cost), []
     for new in candidates:
         peaks = drawn.peaks(new)
-        good = not told or float(drawn.weights @ (peaks <= settings.ms_good)) >= settings.more_odds
-        if more and not (good and harmless(drawn.weights, before, peaks, settings.cost)):
+        good = float(drawn.weights @ (peaks <= settings.ms_good)) >= settings.more_odds
+        if more and told and not (good and harmless(drawn.weights, before, peaks, settings.cost)):
             continue
         if not more and lets_go(drawn, gains, new, settings):
             continue
         saves = stays - costs(drawn, new, settings.cost)[0]
         worth = worth_of(drawn, saves, settings, more=more, tone=tone, faster=faster(gains, new))
-        if worth >= settings.worth:
+        if worth >= settings.worth and all(gain(one, gains, new, settings)[1] >= HALF for one in orders):
             found.append((float(drawn.weights @ saves) if more else worth, new, peaks))
     return max(found, key=lambda one: one[0], default=None)
 

@@ -8,7 +8,7 @@
                              shown as well
     objection                where gains are to change, and the book speaks against it; then it may propose itself
     robust_by_all_samples    a trial's response that swings under a load that wanders or a tone, on processes on which
-                             the tried set is robust
+                             the tried set is robust; refuted_by_trial: what its own samples say against it
 
 The book proposes nothing where the output stands at a limit, where a valve may not follow, or where clear steps have
 shown the process and the loop mostly rests.
@@ -44,6 +44,7 @@ from retuner.adaptive.explanations.tone import tone_of
 from retuner.adaptive.explanations.wandering_load import TEMPER, Prepared, lead_of_steps, log_likelihoods
 from retuner.adaptive.guard import Proof, prove
 from retuner.adaptive.guard.request import Evidence
+from retuner.adaptive.guard.step_size import less_of_everything
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.region_model.region_model import RegionModel
@@ -192,12 +193,9 @@ def all_samples(found: Findings, own: Outcome) -> AllSamples:
     if look is not None and not ((look.due and doubts) or own.changes):
         look = None  # a look is dear
     if look is not None:
-        windows = (*look.earlier, look.window)
-        book = (look.book or Book.begun(gains, interval_s(gains, dt_s), float(windows[0].t_s[0]))).under(gains)
-        book = doubted(book, settings.changed_odds) if changed else book
-        for window, swings in zip(windows, look.swings or (False,) * len(windows), strict=True):
-            grows = look.grows and window is look.window
-            book = update(book, window, hazard_s=settings.hazard_s, grows=grows, swings=swings)
+        first_s = float((*look.earlier, look.window)[0].t_s[0])
+        book = (look.book or Book.begun(gains, interval_s(gains, dt_s), first_s)).under(gains)
+        book = _with(look, doubted(book, settings.changed_odds) if changed else book, settings.hazard_s)
     learned, other = found.learned, record.crossed or found.joined  # not of this region, or not of one response
     if book is not None and learned and not other and (look is not None or own.changes):
         book = with_response(book, record.window, learned.estimate) if learned.estimate.identifiable else book
@@ -209,6 +207,15 @@ def all_samples(found: Findings, own: Outcome) -> AllSamples:
     if book is None or not asked:
         return seen
     return replace(seen, told=by_book(book, gains, settings))
+
+
+def _with(look: Look, book: Book, hazard_s: float) -> Book:
+    """The book with what is looked at."""
+    windows = (*look.earlier, look.window)
+    for window, swings in zip(windows, look.swings or (False,) * len(windows), strict=True):
+        grows = look.grows and window is look.window
+        book = update(book, window, hazard_s=hazard_s, grows=grows, swings=swings)
+    return book
 
 
 def objection(found: Findings, own: Outcome, seen: AllSamples) -> Outcome | None:
@@ -338,15 +345,37 @@ SPOILT = frozenset({
 """What is wrong with a record of which nothing follows; of a response its admission has said so by then."""
 
 
+def refuted_by_trial(found: Findings, own: Outcome, seen: AllSamples) -> Outcome | None:
+    """The outcome with the book in doubt, where the samples of a trial by themselves speak against its set. By loads
+    alone more action follows where the samples before spoke for it most, partly by chance: they prove no more.
+    """
+    trial, gains, settings = found.question.trial, found.record.in_force, found.settings
+    old, dt_s = trial.old if trial.phase is TrialPhase.TRIAL and trial.new == gains else None, settings.sample_time_s
+    if old is None or seen.look is None or seen.shown or not seen.by_loads or less_of_everything(old, gains):
+        return None
+    after_s = look_after_s(gains, dt_s, settings.history)
+    look = look_of(found.record.samples, None, gains, trial.since_s, after_s, dt_s, on_trial=False)
+    if look is None or seen.book is None:
+        return None
+    book = _with(look, Book.begun(gains, interval_s(gains, dt_s), trial.since_s), settings.book.hazard_s)
+    told = by_book(book, gains, settings.book)
+    if not book.records or told.numbers.book_high <= HALF or told.numbers.book_tone >= HALF:  # a part is sure too soon
+        return None
+    seen = replace(seen, book=doubted(seen.book, settings.book.changed_odds), changed=True)
+    return seen.entered(replace(own, refuted=f"worse than predicted: by the samples of the trial alone, {told.words}"))
+
+
 def robust_by_all_samples(found: Findings, winner: Outcome) -> bool:
     """Whether the set on trial is robust on next to all processes by all samples, those of its trial among them (with a
     look, now or before), and by loads alone, as answers before may be another process's: then a load that wanders
-    explains a response that swings. So does a tone that moved the loop before, where the set is robust on most of them.
+    explains a response that swings. Where the set is robust on most of them, so does a tone that moved the loop before,
+    and a load where loads alone did, once the trial has lasted half a window.
     """
     numbers, settings, trial = winner.all_samples, found.settings.book, found.question.trial
     if numbers is None or not (book := winner.book or (found.record.book if trial.silent + trial.kept else None)):
         return False
-    if numbers.book_tone >= settings.less_odds:
+    ran = float(found.record.window.t_s[-1]) - trial.since_s >= LOOK * book.dt_s
+    if numbers.book_tone >= settings.less_odds or (ran and not book.told_by_setpoint):
         return numbers.book_high <= HALF
     by_loads = shares(replace(book, moved=0.0).drawn(settings.drawn), found.record.in_force, settings)[0]
     return max(numbers.book_high, by_loads) <= 1.0 - settings.less_odds

@@ -35,6 +35,7 @@ from retuner.adaptive.supervision.by_all_samples import (
     all_samples,
     objection,
     proposal_by_all_samples,
+    refuted_by_trial,
     robust_by_all_samples,
 )
 from retuner.adaptive.supervision.confirmation import confirmation, counted_cause, doubt_of, refutation, runaway
@@ -265,6 +266,8 @@ def gains_that_win(found: Findings, own: Outcome) -> Outcome:
     less = own.changes and found.clear and own.asks_for_less(found.record.in_force)
     if winner.changes:
         winner = objection(found, winner, seen) or winner
+    if not winner.changes and (refuted := refuted_by_trial(found, winner, seen)):
+        return refuted
     if not winner.changes and not (less and seen.told is not None and seen.told.leans > 0):
         winner = proposal_by_all_samples(found, winner, seen) or winner
     return seen.entered(winner)

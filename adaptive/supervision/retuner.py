@@ -469,20 +469,10 @@ class Retuner:
         # Everything that the decision depends on
         w, response = self._finder, seen.response
         case = ResponseRecord(
-            seen.region,
-            response,
-            w.window(response, seen.wander),
-            tuple(w.samples),
-            self.table,
-            self.commissioned,
-            dict(self.region_models),
-            self.foreign.get(seen.region, 0),
-            self.excitation.get(seen.region, Excitation()),
-            w.scheduled,
-            seen.entered_s,
-            self._led.passed_over,
-            self.books.get(seen.region),
-        )
+            seen.region, response, w.window(response, seen.wander), tuple(w.samples), self.table, self.commissioned,
+            dict(self.region_models), self.foreign.get(seen.region, 0), self.excitation.get(seen.region, Excitation()),
+            w.scheduled, seen.entered_s, self._led.passed_over, self.books.get(seen.region),
+        )  # fmt: skip
         if not news and passed_over(self._led, case, self.settings):
             self._led = self._led._replace(passed_over=self._led.passed_over + 1)
             return None
@@ -507,7 +497,7 @@ class Retuner:
             self.excitation[region] = outcome.excitation
         if outcome.forget:
             self._forget(region)
-        judgement = None if question.alone else self._judge(case, outcome)
+        judgement = None if question.alone and not outcome.refuted else self._judge(case, outcome)
         decision = self._decision(region, outcome, question, judgement)
         if judgement is not None and self.trials.phase(region) == TrialPhase.RESTORING:
             return self._restoring(region, decision)
@@ -535,6 +525,9 @@ class Retuner:
         if outcome.code in {Ground.SATURATED.name.lower(), NOT_EVALUATED}:
             silent = Judgement(TrialFinding.INCONCLUSIVE, outcome.reason, outcome.numbers)
             return self.trials.silent(case.region, silent, self.now_s, robust=outcome.robust)
+        if outcome.refuted:
+            self.trials.event(case.region, TrialEvent.WORSE, self.now_s)
+            return Judgement(TrialFinding.WORSE, outcome.refuted, outcome.numbers)
         ask = self._person_decides(case.region)
         return self.trials.judge(case.region, seen_of(case, outcome), case.in_force, self.now_s, ask=ask)
 

@@ -47,6 +47,7 @@ from retuner.adaptive.supervision.findings import Findings
 from retuner.adaptive.supervision.known_processes import known_of
 from retuner.adaptive.supervision.question import Look, Question
 from retuner.adaptive.supervision.retuner_settings import RetunerSettings, demanded
+from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.rollback import NOTHING_KNOWN, SetsThatRan, rollback
 from retuner.adaptive.trial.trial import Trial
 
@@ -166,7 +167,7 @@ def test_more_action_must_not_be_worse_under_any_order_of_the_load(plane: int) -
     planes = np.frombuffer(book.levels, dtype=np.uint8).reshape(PLANES).copy()
     planes[plane] = np.roll(planes[plane], 7, axis=-1)  # four times the gain
     said = by_book(replace(book, levels=planes.tobytes()), calm, SETTINGS)
-    assert (said.leans, said.tuning) == (1, None)
+    assert (said.leans, said.tuning) == (0, None)
 
 
 @pytest.mark.parametrize(("gain", "later"), [(1.0, 0.0), (1.04, 0.2), (0.96, -0.2), (1.06, -0.2)])
@@ -1054,7 +1055,8 @@ def test_the_book_follows_every_demand_of_robustness_that_a_person_may_make(nomi
 )
 def test_a_set_on_trial_is_robust_by_all_samples_once_those_of_its_trial_are_among_them(looked, silent, times, robust):
     book = after(scaled(times), 3)
-    record = SimpleNamespace(book=book, in_force=scaled(times), table=SimpleNamespace(lookup=Lookup.HARD))
+    table, window = SimpleNamespace(lookup=Lookup.HARD), recorded(GOOD, 1)
+    record = SimpleNamespace(book=book, in_force=scaled(times), table=table, window=window)
     question: Any = SimpleNamespace(record=record, trial=Trial(silent=silent), settings=RetunerSettings(1.0, 100.0))
     told = by_book(book, scaled(times), SETTINGS).numbers
     winner = Outcome("unknown", "", book=book if looked else None, all_samples=told)
@@ -1065,9 +1067,37 @@ def test_a_set_on_trial_is_robust_by_all_samples_once_those_of_its_trial_are_amo
         assert by_all_samples.robust_by_all_samples(Findings(question), under) is (
             (looked or silent > 0) and tone > 0.5
         )
+    for odds, since_s in ((0.3, 0.0), (0.6, 0.0), (0.3, 600.0)):  # by loads alone a response may be a load's, in time
+        by_loads = replace(winner, book=replace(book, moved=0.0), all_samples=replace(told, book_high=odds))
+        question.trial = replace(question.trial, since_s=since_s)
+        assert by_all_samples.robust_by_all_samples(Findings(question), by_loads) is (odds < 0.5 and not since_s)
     other = replace(winner, book=after(scaled(2.6), 3), all_samples=told)  # answers before tell of another process
     record.in_force = scaled(2.6)
     assert not by_all_samples.robust_by_all_samples(Findings(question), other)
+
+
+@pytest.mark.parametrize(
+    ("times", "n", "more", "refuted"),
+    [(2.6, 2000, {}, True), (1.0, 2000, {}, False), (2.6, 600, {}, False), (2.6, 2000, {"shown": True}, False),
+     (2.6, 2000, {"old": 5.0}, False), (2.6, 2000, {"moved": 1.0}, False)],
+)  # fmt: skip
+def test_a_set_on_trial_is_refuted_by_its_own_samples_whatever_those_before_say(times, n, more, refuted):
+    """By loads alone a good loop got more action when the samples were kindest: Ms 2.3 for ever, which the book, with
+    all of these among its samples, called robust.
+    """
+    new, kind = scaled(times), after(scaled(0.25), 3)
+    window = recorded(new, 5, n)
+    samples = tuple(LoopSample(*row) for row in zip(window.t_s, window.sp, window.pv, window.co, strict=True))
+    trial = Trial(phase=TrialPhase.TRIAL, old=scaled(more.get("old", 0.5)), new=new, since_s=-1.0)
+    record = SimpleNamespace(in_force=new, samples=samples, table=SimpleNamespace(lookup=Lookup.HARD))
+    question: Any = SimpleNamespace(record=record, trial=trial, settings=RetunerSettings(1.0, 100.0))
+    look, book = Look(kind, window, grows=True, limited=0.0), replace(kind, moved=more.get("moved", 0.0))
+    seen = AllSamples(look, book, changed=True, shown=more.get("shown", False))
+    found = by_all_samples.refuted_by_trial(Findings(question), Outcome(LOOKED, ""), seen)
+    assert (found is not None) is refuted
+    if found is not None:
+        assert "by the samples of the trial alone, " in found.refuted
+        assert found.book == doubted(book, SETTINGS.changed_odds)
 
 
 def test_a_window_shorter_than_the_interval_of_the_book_says_nothing() -> None:
@@ -1095,6 +1125,7 @@ def test_a_clear_response_that_asked_for_less_is_no_reason_for_more(
     monkeypatch.setattr(decide, "all_samples", lambda *_: seen)
     monkeypatch.setattr(decide, "objection", lambda *_: refused)
     monkeypatch.setattr(decide, "proposal_by_all_samples", lambda *_: proposals.append(1))
+    monkeypatch.setattr(decide, "refuted_by_trial", lambda *_: None)
     found: Any = SimpleNamespace(record=SimpleNamespace(in_force=PidGains(1.0, 0.05)), clear=clear)
     assert decide.gains_that_win(found, own) is refused
     assert len(proposals) == asked

@@ -76,6 +76,16 @@ def learned_by_a_runaway() -> RegionModel:
     return stand.retuner.region_models[0]
 
 
+def test_a_set_that_its_own_samples_refute_is_rolled_back_without_a_response() -> None:
+    retuner = Stand().retuner
+    record = SimpleNamespace(region=0, crossed=False)
+    question: Any = SimpleNamespace(record=record, alone=True, sample_number=retuner.sample_number)
+    made = retuner._entered(question, Outcome("looked", "", refuted="worse than predicted"))
+    assert (made.code, made.gains_after) == ("undo_worse", GOOD)
+    assert "worse than predicted" in made.reason
+    assert retuner.trials.phase(0) is P.RESTORING
+
+
 def test_a_loop_that_runs_away_is_taken_back_in_mid_response_and_the_record_teaches() -> None:
     stand = Stand()
     decision = stand.run_away()
