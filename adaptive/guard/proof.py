@@ -410,19 +410,9 @@ def _accepted(case: _Case, candidate: Goal, ruling: Ruling) -> Proof:
     urgent = case.urgent and _safe_direction(case, gains, candidate.aim or gains)
     step = _share(request.in_force, gains, candidate)
     return Proof(
-        ruling,
-        gains,
-        step,
-        nominal,
-        worst,
-        before,
-        candidate.tau_c_s,
-        numbers,
-        checks,
-        candidate.notes,
-        tuple(request.models),
-        urgent,
-    )
+        ruling, gains, step, nominal, worst, before, candidate.tau_c_s, numbers, checks, candidate.notes,
+        tuple(request.models), urgent,
+    )  # fmt: skip
 
 
 def _refused(case: _Case, ruling: Ruling, numbers: Numbers, notes: tuple[str, ...] = ()) -> Proof:
@@ -430,16 +420,6 @@ def _refused(case: _Case, ruling: Ruling, numbers: Numbers, notes: tuple[str, ..
     nominal, worst = loops.nominal(request.in_force), loops.worst(request.in_force)
     checks = (*evidence_checks(request, s), *failed_checks(numbers))
     return Proof(
-        ruling,
-        None,
-        0.0,
-        nominal,
-        worst,
-        nominal,
-        request.proposal.tau_c_s or 0.0,
-        numbers,
-        checks,
-        notes,
-        tuple(request.models),
-        False,
-    )
+        ruling, None, 0.0, nominal, worst, nominal, request.proposal.tau_c_s or 0.0, numbers, checks, notes,
+        tuple(request.models), False,
+    )  # fmt: skip
