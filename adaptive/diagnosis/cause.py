@@ -8,6 +8,7 @@ from retuner.adaptive.explanations.proposed_test import DecidingTest
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.identification.robust_simc import asks_for_integral
 from retuner.adaptive.loop.margins import EDGE, Margins, margins, sensitivity_peak
+from retuner.adaptive.loop.performance import load_variation
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, field, replace
@@ -113,8 +114,8 @@ def counted(told: Diagnosis) -> Diagnosis:
 #     Ms high, small gain margin    aggressive: too much gain
 #     Ms high, LARGE gain margin    slow_integrating: too much integral action for this gain (the loop swings slowly)
 #     little integral action        sluggish: ki well under what SIMC gives, with robustness to spare
-#     little gain                   sluggish, or slow_integrating where the integral time is short as well; not asked
-#                                   where hardly more than the integral counts (robust_simc.py)
+#     little gain                   sluggish, or slow_integrating where the integral time is short as well; where hardly
+#                                   more than the integral counts (robust_simc.py), no more than it costs after a load
 #     otherwise                     ok
 #     Ms high with derivative       what the derivative does hangs on a second lag, which a first-order model does not
 #                                   have: unknown where one that may hide in its dead time would make the loop robust.
@@ -170,8 +171,13 @@ def tuning_cause(
         "ki_ratio": slack,
         "kp_ratio": best.kp / gains.kp if gains.kp else math.inf,
     }
-    weak = min(evidence["kp_ratio"], slack) if asks_for_integral(model) else evidence["kp_ratio"]
-    cause, reason = _name(found, slack, weak, settings)
+    weak = evidence["kp_ratio"]
+    if asks_for_integral(model):
+        if slack <= settings.slack and weak > settings.weak and found.stable and margins(model.linear(), best).stable:
+            now, then = (load_variation(model.linear(), of, with_output=False).error for of in (gains, best))
+            evidence["iae_ratio"] = now / then
+        weak = min(weak, evidence.get("iae_ratio", slack))
+    cause, reason = _name(found, slack, evidence["kp_ratio"], weak, settings)
     if gains.kd and not model.tau2_s and found.ms > settings.ms_high and cured(model, gains, settings.ms_high, lagged):
         unsure = "the controller has derivative action, and a model without a second lag cannot judge it"
         return Diagnosis(Cause.UNKNOWN, 1.0, evidence, unsure)
@@ -230,8 +236,8 @@ def over_words(ms: float, limit: float) -> str:
     return f"Ms {ms:.{digits}f} is over {limit:g}"
 
 
-def _name(found: Margins, slack: float, weak: float, settings: CauseSettings) -> tuple[Cause, str]:
-    """The table at the head of this file, with the sentence."""
+def _name(found: Margins, slack: float, gain: float, weak: float, settings: CauseSettings) -> tuple[Cause, str]:
+    """The table at the head of this file, with the sentence. gain : the rule's over that in force; weak : its cost."""
     if not found.stable:
         return Cause.AGGRESSIVE, "the loop is unstable with the active gains"
     if found.ms > settings.ms_high:
@@ -250,5 +256,6 @@ def _name(found: Margins, slack: float, weak: float, settings: CauseSettings) ->
         )
     if weak > settings.weak:
         cause = Cause.SLOW_INTEGRATING if weak > slack * settings.slack else Cause.SLUGGISH
-        return cause, f"the gain could be {weak:.1f} times larger at Ms {found.ms:.2f}"
+        larger = f"the gain could be {gain:.1f} times larger at Ms {found.ms:.2f}"
+        return cause, larger if gain == weak else f"{larger}; after a load the IAE is {weak:.1f} times the rule's"
     return Cause.OK, f"Ms {found.ms:.2f}, integral gain {1 / max(slack, 1e-9):.0%} of the tuning rule's"

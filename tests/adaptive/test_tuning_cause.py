@@ -12,7 +12,7 @@ from retuner.adaptive.diagnosis.tuning_verdict import weighed
 from retuner.adaptive.guard import GuardSettings
 from retuner.adaptive.identification.identify import identify_window
 from retuner.adaptive.identification.plausible import Plausible
-from retuner.adaptive.identification.robust_simc import RobustSettings, robust_simc
+from retuner.adaptive.identification.robust_simc import RobustSettings, by_integral, robust_simc
 from retuner.adaptive.rules.simc import simc
 
 SETTINGS = GuardSettings()
@@ -44,6 +44,18 @@ def test_margins_tell_the_causes_apart(kp: float, ki: float, cause: Cause) -> No
     assert found.retune == (cause != Cause.OK)
     assert 0.5 <= found.confidence <= 1
     assert found.to_dict()["cause"] == cause.value
+
+
+def test_a_gain_too_small_beside_a_long_dead_time_is_a_cause_where_loads_cost_more() -> None:
+    """Unlike ours, noise_changes 12503: a third of the gain at the same integral gain, J 1.32, was "ok" for good."""
+    process, limits = ProcessModel(ProcessType.FOPDT, 5.96, 4.5, 0.0, 7.0), CauseSettings(slack=1.15)
+    best = by_integral(process).gains
+    found = tuning_cause(process, PidGains(0.25 * best.kp, best.ki), best, 0.05, limits)
+    assert found.cause is Cause.SLOW_INTEGRATING
+    assert "after a load the IAE is 1.4 times the rule's" in found.reason
+    dead = replace(process, tau1_s=0.35)  # next to no lag: the gain hardly counts
+    best = by_integral(dead).gains
+    assert tuning_cause(dead, PidGains(0.25 * best.kp, 0.9 * best.ki), best, 0.05, limits).cause is Cause.OK
 
 
 def test_a_loop_without_integral_action_is_told_as_that() -> None:
