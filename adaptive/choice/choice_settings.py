@@ -37,6 +37,9 @@ class ChoiceSettings:
     price: float = setting(
         0.1, "Expected gain below which a change is not worth it", "0..1", "a tenth of the IAE, seed 51"
     )
+    price_settled: float = setting(
+        0.4, "Share of it that is left after many records that agree", "0..1", "at 0.2 a drift takes half more changes"
+    )
     sure: float = setting(
         1.0,
         "Standard deviations over the models by which it must be more: what one more record costs is little",

@@ -25,7 +25,8 @@ record costs little, by what the models disagree about:
 
 Waiting loses a set's gain for one response, a wrong change costs for all that follow. The disagreement of the models
 that one more record can remove falls with the number n of records that agree: s sqrt(2 / (n + 1)) (preposterior
-analysis, Raiffa & Schlaifer 1961), so no loop waits for ever.
+analysis, Raiffa & Schlaifer 1961), so no loop waits for ever. A change costs once and brings its gain at every response,
+as many more of which are to be expected: its price is a share 2 / (n + 1) of that after the first record.
 
 A loop that is unstable in force, on every model or on the likeliest with a second record that agrees, gets what the
 guard has proved, however slow. The worst case is the guard's (guard/proof.py); only sets that it proved are weighed.
@@ -274,16 +275,17 @@ def choose(found: Sequence[Outlook], way: Outlook | None, seen: ModelEvidence, s
     asked = [(gains[best], (1.0 - p) * found[best].spread)]
     if way is not None:
         asked.append((_gain(found[0], way, p), (1.0 - p) * way.spread))
-    sure = settings.sure * math.sqrt(2.0 / (max(seen.records, 1) + 1.0))
+    share = 2.0 / (max(seen.records, 1) + 1.0)
+    sure, price = settings.sure * math.sqrt(share), settings.price * max(share, settings.price_settled)
     brings, spread = max(asked, key=lambda one: one[0] - sure * one[1])
-    pays = gains[best] > 0.0 and brings > settings.price
-    goes = danger or (pays and brings > settings.price + sure * spread)
+    pays = gains[best] > 0.0 and brings > price
+    goes = danger or (pays and brings > price + sure * spread)
     more = doubt(replace(seen, records=seen.records + 1), settings)
-    waits = not goes and (pays or _gain(found[0], found[best], more) > settings.price)
+    waits = not goes and (pays or _gain(found[0], found[best], more) > price)
     now, then = found[0], found[best]
     iae = then.j / now.j if math.isfinite(now.j) and math.isfinite(then.j) else -1.0
     told = storable(then.ms), storable(then.ms_most), storable(now.ms)
-    numbers = ChoiceNumbers(brings, settings.price, p, iae, *told, spread)
+    numbers = ChoiceNumbers(brings, price, p, iae, *told, spread)
     return Choice(best if goes else 0, best, waits, numbers, _words(numbers, goes=goes, waits=waits, pays=pays))
 
 
