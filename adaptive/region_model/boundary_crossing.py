@@ -351,7 +351,7 @@ def _filtered(
             there = scattered(mean.log, settings)
             statistic, posterior = update(there, estimate)
             innovation = statistic if innovation is None else innovation
-            mean = back_to_mean(mean, there, posterior)
+            mean = replace(mean, log=back_to_mean(mean.log, there, posterior))
         after.append(mean)
     # A structure that such a record cannot show leads on only where it is known well enough for settings
     dt_s, limit = crossing.window.sample_time_s, crossing.fit.gain_std_limit

@@ -1,16 +1,13 @@
 """The Kalman filter over one region's log-parameters, step by step; the filter is filterpy's, once per response.
 
     mu ~ N(m, P)                 the region's process, a random walk: P grows with time and with every record
-    mu' = mu + v,  v' = f v      and a drift v from record to record that fades (local linear trend, Harvey 1989, 2.3.4,
-                                 damped as by Gardner & McKenzie 1985): fouling goes on in one direction
     x = mu + e, e ~ N(0, s^2)    the process as one record shows it: the operating point is never quite the same
     z = R x + v, v ~ N(0, I)     the record, linearised at the optimum of its fit and compressed by QR
 
 The filter predicts x (m, P + q + s^2), updates it with z, and takes what it learned back to mu (one step of the
 Rauch-Tung-Striebel smoother, 1965): G = P (P + s^2)^-1, m+ = m + G (x+ - m), P+ = P + G (Px+ - P - s^2) G'. With s = 0
 the two are one. Without s, records of setpoints and of loads, which every too simple structure sees differently, would
-contradict each other for ever. The drift learns by the same step, its covariance with mu in place of the first P.
-Without it the mean of a gain that grows by 4 % a record stays 8 % behind.
+contradict each other for ever. The mean of a process that moves in one direction is moved on by steady_drift.py.
 """
 
 import math
@@ -19,7 +16,6 @@ from dataclasses import replace
 import numpy as np
 
 from retuner.adaptive.identification.estimate import LogModel, ModelEstimate, proper_covariance
-from retuner.adaptive.region_model.region_model import Drift, StructureModel
 from retuner.adaptive.signals.sample import FloatArray
 
 
@@ -28,38 +24,11 @@ def widened(log: LogModel, variance: float) -> LogModel:
     return replace(log, p=proper_covariance(log.p + variance * np.eye(len(log.x))))
 
 
-def moved_on(known: StructureModel, variance: float, std: float, keeps: float) -> StructureModel:
-    """One record later: F x and F P F' + Q of mean and drift, a thousand times a session, without a filter for it.
-
-    variance : by which the walk widens the mean. std : of the drift where nothing is known of it. keeps : share of the
-    drift that is left after a record.
-    """
-    log, d = known.log, len(known.log.x)
-    drift = known.drift or Drift.unknown(d, std)
-    along = drift.along + drift.p
-    p = log.p + drift.along.T + along + variance * np.eye(d)
-    later = Drift(
-        keeps * drift.v,
-        proper_covariance(keeps * (keeps * drift.p) + (1 - keeps**2) * std**2 * np.eye(d)),
-        keeps * along,
-    )
-    return replace(known, log=replace(log, x=log.x + drift.v, p=proper_covariance(p)), drift=later)
-
-
-def back_to_mean(known: StructureModel, prior: LogModel, posterior: LogModel) -> StructureModel:
-    """What a record's process says of the region's mean and of its drift (see the head of this file)."""
-    mean, root = known.log, np.linalg.inv(prior.p)
-    seen, less = posterior.x - prior.x, posterior.p - prior.p
-    gain = mean.p @ root
-    log = replace(mean, x=mean.x + gain @ seen, p=proper_covariance(mean.p + gain @ less @ gain.T))
-    if known.drift is None:
-        return replace(known, log=log)
-    drift = known.drift
-    also = drift.along.T @ root
-    later = Drift(
-        drift.v + also @ seen, proper_covariance(drift.p + also @ less @ also.T), drift.along + gain @ less @ also.T
-    )
-    return replace(known, log=log, drift=later)
+def back_to_mean(mean: LogModel, prior: LogModel, posterior: LogModel) -> LogModel:
+    """What a record's process says of the region's mean (see the head of this file)."""
+    gain = mean.p @ np.linalg.inv(prior.p)
+    p = proper_covariance(mean.p + gain @ (posterior.p - prior.p) @ gain.T)
+    return replace(mean, x=mean.x + gain @ (posterior.x - prior.x), p=p)
 
 
 def update(prior: LogModel, estimate: ModelEstimate) -> tuple[float, LogModel]:

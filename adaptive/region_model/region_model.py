@@ -2,12 +2,10 @@
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.region_model.co_curve import CoCurve
-from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.signals.setpoint_steps import SetpointSteps
 from retuner.schedule.late_dataclass import dataclass, field
 
@@ -15,41 +13,11 @@ POINTS = 12  # Records, the last ones, that are remembered by what they said alo
 
 
 @dataclass(frozen=True, slots=True)
-class Drift:
-    """How the log-parameters move from one record to the next.
-
-    v : mean, shape (d,). p : covariance, (d, d). along : covariance of the parameters (rows) with it, (d, d).
-
-    Raises ValueError: a value is not finite, or the shapes do not fit each other.
-    """
-
-    v: FloatArray
-    p: FloatArray
-    along: FloatArray
-
-    def __post_init__(self) -> None:
-        d = len(self.v)
-        if self.p.shape != (d, d) or self.along.shape != (d, d):
-            raise ValueError(f"shapes {self.v.shape}, {self.p.shape}, {self.along.shape} of a drift do not fit")
-        if not all(np.all(np.isfinite(values)) for values in (self.v, self.p, self.along)):
-            raise ValueError("the drift is not finite")
-
-    @classmethod
-    def unknown(cls, d: int, std: float) -> "Drift":
-        """None so far; std : standard deviation of what it may be."""
-        return cls(np.zeros(d), std**2 * np.eye(d), np.zeros((d, d)))
-
-
-@dataclass(frozen=True, slots=True)
 class StructureModel:
-    """What is known under one structure: parameters with covariance, and the evidence for it (smaller is better).
-
-    drift : how they move from record to record; None where two records have not been compared yet.
-    """
+    """What is known under one structure: parameters with covariance, and the evidence for it (smaller is better)."""
 
     log: LogModel
     evidence: float
-    drift: Drift | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +27,7 @@ class RecordPoint:
     t_s : of its last sample. x, x2 : scheduling variables there (x2 is 0 for a table of one dimension).
     log : the structure that explains this record best, fitted to it alone. innovation : how far it lay from what was
     known before (chi-square, one degree of freedom a parameter), 0 for the first. co_curve : what it said of how co
-    acts, None where nothing.
+    acts, None where nothing. told : see steady_drift.py.
     """
 
     t_s: float
@@ -68,6 +36,7 @@ class RecordPoint:
     log: LogModel
     innovation: float
     co_curve: CoCurve | None = None
+    told: tuple[tuple[float, float], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

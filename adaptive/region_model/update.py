@@ -36,8 +36,9 @@ from retuner.adaptive.identification.dead_time_bound import bounded
 from retuner.adaptive.identification.estimate import LogModel, ModelEstimate
 from retuner.adaptive.identification.identify import Fits, FitSettings, estimate_of, inflation_of
 from retuner.adaptive.loop.margins import sensitivity_peak
-from retuner.adaptive.region_model.kalman import back_to_mean, gate, moved_on, surprise_of, update, widened
+from retuner.adaptive.region_model.kalman import back_to_mean, gate, surprise_of, update, widened
 from retuner.adaptive.region_model.region_model import RecordPoint, RegionModel, StructureModel, remembered
+from retuner.adaptive.region_model.steady_drift import TOLD, moved, told
 from retuner.adaptive.schedule_design.record_stretches import SLOPE_STD
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window, median
@@ -156,12 +157,6 @@ class TrackerSettings:
         "How far they wander from record to record, whatever the time: a gain that doubles within thirty is followed",
         "0..0.1",
     )
-    drift_per_record: float = setting(
-        0.02,
-        "How far they may move in one direction from record to record, one standard deviation; learned (kalman.py)",
-        "0..0.1",
-    )
-    drift_lasts: float = setting(20.0, "Records for which a drift goes on, in the mean", "2..1000 records")
     # operating point and structure are never quite the same; with 0.12 a gain that doubles at once passes the gate. A
     # record that went over a whole axis has 1.4 (on_the_way)
     scatter: float = setting(
@@ -224,9 +219,9 @@ class NewRecord:
         """Time of the last sample."""
         return float(self.window.t_s[-1])
 
-    def point(self, innovation: float) -> RecordPoint:
+    def point(self, innovation: float, told: tuple[tuple[float, float], ...]) -> RecordPoint:
         """What is remembered of it by itself."""
-        return RecordPoint(self.t_s, *self.at, self.alone.log, innovation)
+        return RecordPoint(self.t_s, *self.at, self.alone.log, innovation, told=told)
 
 
 @dataclass(frozen=True, slots=True)
@@ -234,13 +229,14 @@ class Posterior:
     """What is known with a record taken in.
 
     rise : how much worse the two explain each other than each by itself (deviance). innovation : the same, never more
-    than what the linear filter says.
+    than what the linear filter says. told : see RecordPoint.
     """
 
     known: tuple[StructureModel, ...]
     estimate: ModelEstimate
     innovation: float
     rise: float
+    told: tuple[tuple[float, float], ...] = ()
 
     def region_model(self, records: int, record: NewRecord, points: tuple[RecordPoint, ...]) -> RegionModel:
         """What is known, as the new region model."""
@@ -280,8 +276,10 @@ def _taken_in(region_model: RegionModel | None, record: NewRecord, in_force: Pid
         return Learned(kept, record.alone, Agreement.SILENT, 0.0)
     if region_model is None or region_model.log.sign != sign:
         return _first(record)
-    posterior = _posterior_of(region_model.known, record.t_s - region_model.t_s, record)
-    points = remembered(region_model.points, record.point(posterior.innovation))
+    elapsed_s = record.t_s - region_model.t_s
+    moving = (moved(k, region_model, elapsed_s, settings.walk_per_record, ahead=False) for k in region_model.known)
+    posterior = _posterior_of(tuple(moving), elapsed_s, record)
+    points = remembered(region_model.points, record.point(posterior.innovation, posterior.told))
     together = _together(region_model, record, points, in_force)
     if together is not None:
         return replace(together, innovation=posterior.innovation)
@@ -377,7 +375,9 @@ def _first(record: NewRecord, alternative: tuple[StructureModel, ...] | None = N
     """The first record of a region: all that is known is what it says. alternative : what it took the place of."""
     alone = record.alone
     known = _led([StructureModel(scattered(a.log, record.settings), a.evidence) for a in alone.alternatives], record)
-    region_model = _region_model(known, 1, record.t_s, (record.point(0.0),), alone)
+    log = known[0].log
+    first = record.point(0.0, tuple(zip(log.x.tolist(), np.diag(log.p).tolist(), strict=True))[:TOLD])
+    region_model = _region_model(known, 1, record.t_s, (first,), alone)
     region_model = replace(region_model, alternative=alternative, windows=(kept(record.window),))
     return Learned(region_model, alone, Agreement.FIRST, 0.0)
 
@@ -398,6 +398,7 @@ def _contradicted(
 ) -> Learned:
     """The alternative confirmed, a loop in danger, or a contradicting record that waits."""
     alone, settings = record.alone, record.settings
+    points = (*points[:-1], replace(points[-1], told=()))  # it tells of another process, or of none
     if region_model.alternative is not None:
         posterior = _posterior_of(region_model.alternative, 0.0, record)
         doubted = surprise_of(scattered(region_model.known[0].log, settings), alone)
@@ -435,15 +436,17 @@ def _posterior_of(known: tuple[StructureModel, ...], elapsed_s: float, record: N
     for alternative in estimate.alternatives:
         type_ = alternative.log.type
         _, posterior = update(priors[type_], estimate)
-        mean = back_to_mean(means[type_], priors[type_], posterior)
-        after.append(replace(mean, evidence=alternative.evidence))
+        mean = back_to_mean(means[type_].log, priors[type_], posterior)
+        after.append(StructureModel(mean, alternative.evidence))
     apart = min(_criterion(k, record) for k in known) + min(a.evidence for a in alone.alternatives)
     together = min(_criterion(k, record) for k in after)
     linear, _ = update(priors[known[0].log.type], alone)
+    prior = priors[after[0].log.type]
+    said = told(prior, update(prior, estimate)[1], settings.scatter)
     by_itself, best = record.found[0].fit.misfit, again[0].fit.misfit  # each needs the loads, and pays for them
     missing = max(least - by_itself.loads, 0) if best.loads >= least else 0
     rise = together - apart - load_price(by_itself) * missing
-    return Posterior(_led(after, record), estimate, min(linear, max(rise, 0.0)), rise)
+    return Posterior(_led(after, record), estimate, min(linear, max(rise, 0.0)), rise, said)
 
 
 def _loads_at_least(record: NewRecord) -> int:
@@ -470,10 +473,9 @@ def _led(known: list[StructureModel], record: NewRecord) -> tuple[StructureModel
 
 
 def grown(known: StructureModel, elapsed_s: float, settings: TrackerSettings) -> StructureModel:
-    """The region's mean one record and so much time later: moved on by its drift, widened by the random walk."""
+    """The region's mean one record and so much time later: widened by the random walk."""
     days = max(elapsed_s, 0.0) / SECONDS_PER_DAY
-    variance = settings.walk_per_day**2 * days + settings.walk_per_record**2
-    return moved_on(known, variance, settings.drift_per_record, 1 - 1 / settings.drift_lasts)
+    return replace(known, log=widened(known.log, settings.walk_per_day**2 * days + settings.walk_per_record**2))
 
 
 def on_the_way(settings: TrackerSettings, share: float) -> TrackerSettings:
@@ -493,13 +495,15 @@ def scattered(log: LogModel, settings: TrackerSettings) -> LogModel:
 
 def predicted(region_model: RegionModel, t_s: float, settings: TrackerSettings) -> LogModel:
     """The process as it may be met at a later time, for which the guard has to prove."""
-    return _predicted(region_model.known[0], t_s - region_model.t_s, settings).at_bound(region_model.bound_s)
+    return _predicted(region_model, region_model.known[0], t_s, settings).at_bound(region_model.bound_s)
 
 
 def predicted_all(region_model: RegionModel, t_s: float, settings: TrackerSettings) -> tuple[LogModel, ...]:
     """The prediction under every structure, the leading one first."""
-    return tuple(_predicted(known, t_s - region_model.t_s, settings) for known in region_model.known)
+    return tuple(_predicted(region_model, known, t_s, settings) for known in region_model.known)
 
 
-def _predicted(known: StructureModel, elapsed_s: float, settings: TrackerSettings) -> LogModel:
+def _predicted(region_model: RegionModel, known: StructureModel, t_s: float, settings: TrackerSettings) -> LogModel:
+    elapsed_s = t_s - region_model.t_s
+    known = moved(known, region_model, elapsed_s, settings.walk_per_record, ahead=True)
     return scattered(grown(known, elapsed_s, settings).log, settings)

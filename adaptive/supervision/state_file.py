@@ -19,7 +19,7 @@ from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.region_model.co_curve import CoCurve
-from retuner.adaptive.region_model.region_model import Drift, RecordPoint, RegionModel, StructureModel
+from retuner.adaptive.region_model.region_model import RecordPoint, RegionModel, StructureModel
 from retuner.adaptive.signals.noise import NoiseState
 from retuner.adaptive.signals.recogniser import RecogniserPhase, RecogniserState
 from retuner.adaptive.signals.sample import LoopSample, Window, finite
@@ -35,7 +35,6 @@ from retuner.schedule.regions import RegionState
 
 State = TypeVar("State")  # A named tuple of numbers
 SERIES = ("t_s", "sp", "pv", "co")  # what a record is made of
-DRIFT = ("v", "p", "along")  # and a drift
 
 # What is known of a region as plain JSON values, and back, checked on the way in.
 
@@ -50,6 +49,7 @@ def region_model_out(region_model: RegionModel) -> dict[str, object]:
         "points": [
             {"t_s": p.t_s, "x": p.x, "x2": p.x2, "log": _log_out(p.log), "innovation": p.innovation}
             | ({} if p.co_curve is None else {"co_curve": [p.co_curve.slope, p.co_curve.std]})
+            | {"told": [list(one) for one in p.told]}
             for p in region_model.points
         ],
         "plausible": [{"model": p.model.to_dict(), "excess": p.excess} for p in region_model.plausible],
@@ -107,18 +107,11 @@ def _steps_in(body: Mapping[str, Any]) -> SetpointSteps:
 
 def _known_out(known: Sequence[StructureModel]) -> list[dict[str, object]]:
     """The structures: parameters with their covariance, and the evidence."""
-    drifts = (k.drift and {name: getattr(k.drift, name).tolist() for name in DRIFT} for k in known)
-    return [_log_out(k.log) | {"evidence": k.evidence, "drift": drift} for k, drift in zip(known, drifts, strict=True)]
+    return [_log_out(k.log) | {"evidence": k.evidence} for k in known]
 
 
 def _known_in(bodies: Sequence[Mapping[str, Any]]) -> tuple[StructureModel, ...]:
-    known = []
-    for body in bodies:
-        log, evidence, drift = _log_in(body), float(body["evidence"]), body.get("drift")  # memories of before have none
-        if drift is not None:
-            drift = Drift(*(np.array(drift[name], dtype=np.float64) for name in DRIFT))
-        known.append(StructureModel(log, evidence, drift))
-    return tuple(known)
+    return tuple(StructureModel(_log_in(body), float(body["evidence"])) for body in bodies)
 
 
 def _log_out(log: LogModel) -> dict[str, object]:
@@ -133,7 +126,9 @@ def _log_in(body: Mapping[str, Any]) -> LogModel:
 def _point_in(body: Mapping[str, Any]) -> RecordPoint:
     t_s, x, x2, innovation = (float(body[name]) for name in ("t_s", "x", "x2", "innovation"))
     curve = body.get("co_curve")
-    return RecordPoint(t_s, x, x2, _log_in(body["log"]), innovation, None if curve is None else CoCurve(*curve))
+    co_curve = None if curve is None else CoCurve(*curve)
+    told = tuple((float(value), float(variance)) for value, variance in body.get("told", ()))  # older ones have none
+    return RecordPoint(t_s, x, x2, _log_in(body["log"]), innovation, co_curve, told)
 
 
 def _model_in(body: Mapping[str, Any]) -> ProcessModel:

@@ -22,7 +22,7 @@ from retuner.adaptive.region_model.update import Agreement, TrackerSettings, pre
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.adaptive.supervision.state_file import region_model_in, region_model_out
 
-STILL = TrackerSettings(walk_per_day=0.0, walk_per_record=0.0, drift_per_record=0.0, scatter=0.0)
+STILL = TrackerSettings(walk_per_day=0.0, walk_per_record=0.0, scatter=0.0)
 SCATTERED = TrackerSettings()
 FIT = FitSettings()
 UP, DOWN = PidGains(2.0, 0.05), PidGains(-2.0, -0.05)  # Gains in force
@@ -127,7 +127,7 @@ def test_a_record_that_speaks_clearly_against_the_rival_forgets_it(loop: Callabl
 
 def test_time_opens_the_uncertainty(loop: Callable) -> None:
     region_model = learned_from(loop, 5, STILL)[0]
-    walk = TrackerSettings(walk_per_day=0.1, walk_per_record=0.0, drift_per_record=0.0, scatter=0.05)
+    walk = TrackerSettings(walk_per_day=0.1, walk_per_record=0.0, scatter=0.05)
     later = predicted(region_model, region_model.t_s + 4 * 86400, walk)
     np.testing.assert_allclose(
         later.p, region_model.log.p + (0.04 + 0.0025) * np.eye(len(region_model.log.x)), rtol=1e-9
