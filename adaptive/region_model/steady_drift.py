@@ -15,12 +15,11 @@ import numpy as np
 
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.region_model.region_model import RegionModel, StructureModel
-from retuner.adaptive.signals.sample import FloatArray
+from retuner.adaptive.schedule_design.record_stretches import SLOPE_STD
 from retuner.schedule.late_dataclass import replace
 
 LEAST, ODDS, DRIFT = 4, 1 / 9, 0.1
 """Records that can tell, the odds of a drift before them, and how far a logarithm drifts from one to the next."""
-PLACE = 0.7  # how far it may change over the places that were seen (schedule_design: SLOPE_STD)
 Seen = tuple[float, float, float, float, float]  # a record's time, place on both axes, a logarithm, and its variance
 
 
@@ -48,13 +47,12 @@ def told(prior: LogModel, posterior: LogModel, scatter: float) -> tuple[tuple[fl
 
     prior, posterior : of the record's process. scatter : of records about their mean.
     """
-    known = np.maximum(1.0 / np.diag(posterior.p) - 1.0 / np.diag(prior.p), LEAST_TOLD)
+    known = np.maximum(1.0 / np.diag(posterior.p) - 1.0 / np.diag(prior.p), 1e-6)
     value = (posterior.x / np.diag(posterior.p) - prior.x / np.diag(prior.p)) / known
     return tuple(zip(value[:TOLD].tolist(), (1.0 / known + scatter**2)[:TOLD].tolist(), strict=True))
 
 
 TOLD = 2  # logarithms that every structure has: of the slope and of the dead time
-LEAST_TOLD = 1e-6  # of what a record tells of a logarithm, one over a variance
 UNSURE = 0.15  # standard deviation from which a record says next to nothing: a load's dead time is as wrong as unsure
 
 
@@ -67,7 +65,7 @@ def _told(seen: tuple[Seen, ...], walk: float) -> tuple[float, float, float, flo
     v = np.diag(variance) + walk**2 * steps
     for place in (x, x2):
         off = place - place.mean()
-        v += PLACE**2 * np.outer(off, off) / max(float(np.max(off**2)), 1e-12)
+        v += SLOPE_STD**2 * np.outer(off, off) / max(float(np.max(off**2)), 1e-12)
     scale = 1.0
     for _ in range(2):  # the second time with as much scatter as there is beside the drift
         root = np.linalg.inv(scale * v)
@@ -76,9 +74,9 @@ def _told(seen: tuple[Seen, ...], walk: float) -> tuple[float, float, float, flo
         a, b = float(way @ clear @ way), float(way @ clear @ y)
         post = 1.0 / (a + DRIFT**-2)
         rate = b * post
-        left = float((y - rate * way) @ clear @ (y - rate * way)) / (n - 2)
-        scale *= max(left, 1.0)
+        rest = y - rate * way
+        scale *= max(float(rest @ clear @ rest) / (n - 2), 1.0)
     log_odds = math.log(ODDS) + 0.5 * (b * rate - math.log(1.0 + DRIFT**2 * a))
-    rest: FloatArray = y - rate * way - float(level @ (y - rate * way))
-    here = float(level @ (y - rate * way) + scale * walk**2 * steps[-1] @ root @ rest)
+    mean = float(level @ rest)
+    here = mean + float(walk**2 * steps[-1] @ np.linalg.solve(v, rest - mean))
     return 1.0 / (1.0 + math.exp(-min(log_odds, 50.0))), here, rate, post, interval_s
