@@ -25,8 +25,8 @@ record costs little, by what the models disagree about:
 
 Waiting loses a set's gain for one response, a wrong change costs for all that follow. The disagreement of the models
 that one more record can remove falls with the number n of records that agree: s sqrt(2 / (n + 1)) (preposterior
-analysis, Raiffa & Schlaifer 1961), so no loop waits for ever. A change costs once and brings its gain at every response,
-as many more of which are to be expected: its price is a share 2 / (n + 1) of that after the first record.
+analysis, Raiffa & Schlaifer 1961), so no loop waits for ever. A change costs once and brings its gain at every
+response, as many more of which are to be expected: its price is a share 2 / (n + 1) of that after the first record.
 
 A loop that is unstable in force, on every model or on the likeliest with a second record that agrees, gets what the
 guard has proved, however slow. The worst case is the guard's (guard/proof.py); only sets that it proved are weighed.
