@@ -8,8 +8,9 @@ from retuner.adaptive.explanations.proposed_test import DecidingTest
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.identification.robust_simc import asks_for_integral
 from retuner.adaptive.loop.margins import EDGE, Margins, margins, sensitivity_peak
-from retuner.adaptive.loop.performance import load_variation
 from retuner.adaptive.process.model import ProcessModel, ProcessType
+from retuner.adaptive.trial.batch_responses import ClosedLoop, Upset, traces
+from retuner.adaptive.trial.response_numbers import iae_of
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, field, replace
 from retuner.schedule.plain_values import plain_values
@@ -173,9 +174,10 @@ def tuning_cause(
     }
     weak = evidence["kp_ratio"]
     if asks_for_integral(model):
-        if slack <= settings.slack and weak > settings.weak and found.stable and margins(model.linear(), best).stable:
-            now, then = (load_variation(model.linear(), of, with_output=False).error for of in (gains, best))
-            evidence["iae_ratio"] = now / then
+        if slack <= settings.slack and weak > settings.weak and found.stable:
+            after = traces([ClosedLoop(model.linear(), of) for of in (gains, best)], [Upset(load_step=1.0)])
+            now, then = (iae_of(one, of.ki) for (one,), of in zip(after, (gains, best), strict=True))
+            evidence["iae_ratio"] = now / then if then < math.inf else 0.0
         weak = min(weak, evidence.get("iae_ratio", slack))
     cause, reason = _name(found, slack, evidence["kp_ratio"], weak, settings)
     if gains.kd and not model.tau2_s and found.ms > settings.ms_high and cured(model, gains, settings.ms_high, lagged):
