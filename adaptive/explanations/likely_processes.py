@@ -162,10 +162,15 @@ def expected_cost(likely: LikelyProcesses, gains: PidGains, settings: WorthSetti
     return float(likely.weights @ each), peaks
 
 
-def harmless(weights: FloatArray, now: FloatArray, new: FloatArray, settings: WorthSettings) -> bool:
-    """Whether a change makes a bad loop of next to no process, and few are bad after it. now, new : Ms on each."""
-    bad = new > settings.ms_bad
-    made, lost = (float(weights @ one) for one in (bad & (now <= settings.ms_bad), np.isinf(new) & ~np.isinf(now)))
+def harmless(
+    weights: FloatArray, now: FloatArray, new: FloatArray, settings: WorthSettings, most: float = math.nan
+) -> bool:
+    """Whether a change makes a bad loop of next to no process, and few are bad after it. now, new : Ms on each.
+    most : Ms above which a loop is bad; of the settings where it is not given.
+    """
+    most = settings.ms_bad if math.isnan(most) else most
+    bad = new > most
+    made, lost = (float(weights @ one) for one in (bad & (now <= most), np.isinf(new) & ~np.isinf(now)))
     in_all = float(weights @ bad)
     return made <= settings.bad_share and in_all <= IN_ALL * settings.bad_share and lost <= settings.unstable_share
 

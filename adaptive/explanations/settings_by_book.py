@@ -66,13 +66,14 @@ class BookSettings:
     )
     ms_high: float = setting(2.0, "Ms above which a loop has too little robustness", _MS)
     ms_good: float = setting(1.7, "Ms up to which a loop may have more action", _MS)
+    ms_tried: float = setting(2.5, "Ms that no more than cost.bad_share may have on trial, by loads alone", "1.1..7")
     less_odds: float = setting(0.85, "Odds of ms_high from which less action follows", "0.5..0.9")
     sure_odds: float = setting(0.95, "Odds from which it does at once, behind a whole window", "0.9..0.99")
     more_odds: float = setting(0.85, "Odds of being cheaper from which more action follows", "0.5..0.9")
     restless: float = setting(0.3, "Share of samples outside the noise band from which a load wanders", "0.1..0.9")
     most: float = setting(0.7, "How much a change may save or cost on a process", "0.2..2.5", "ln 2: it is on trial")
     borne_out: float = setting(
-        2 / 3, "Odds of being better by loads alone, of less action", "0.5..0.9", "60 changes, seeds 9331 to 9361"
+        2 / 3, "Odds of being better that a change needs by loads alone", "0.5..0.9", "60 changes, seeds 9331 to 9361"
     )
     room: float = setting(1.8, "Times as much of all actions that a loop with room bears", "1.5..3")
     cost: WorthSettings = field(default_factory=lambda: WorthSettings(ms_calm=1.68, unstable_share=0.02))
@@ -159,7 +160,7 @@ def by_book(book: Book, gains: PidGains, settings: BookSettings) -> ByBook:
         kinds += [MORE_GAIN, MORE_INTEGRAL] if high >= settings.less_odds else [MORE_GAIN]
     tried = [one for kind in kinds for one in _sets(gains, kind, integral_times, settings)]
     leans, best = 0, _best(drawn, gains, tried, settings, more=True, told=told, tone=tone, orders=by_orders)
-    odds = settings.more_odds if told else HALF
+    odds = settings.more_odds if told else settings.borne_out
     if best is not None and gain(drawn, gains, best[1], settings)[1] >= odds:
         leans = 1
     elif high >= settings.less_odds:
@@ -284,16 +285,17 @@ def _best(
 ) -> tuple[float, PidGains, FloatArray] | None:  # fmt: skip
     """Worth, gains and Ms on each process of the candidate that is most worth a change; None where none is."""
     (stays, before), found = costs(drawn, gains, settings.cost), []
+    most = settings.cost.ms_bad if told else settings.ms_tried
     for new in candidates:
         peaks = drawn.peaks(new)
-        good = float(drawn.weights @ (peaks <= settings.ms_good)) >= settings.more_odds
-        if more and told and not (good and harmless(drawn.weights, before, peaks, settings.cost)):
+        good = not told or float(drawn.weights @ (peaks <= settings.ms_good)) >= settings.more_odds
+        if more and not (good and harmless(drawn.weights, before, peaks, settings.cost, most)):
             continue
         if not more and lets_go(drawn, gains, new, settings):
             continue
         saves = stays - costs(drawn, new, settings.cost)[0]
         worth = worth_of(drawn, saves, settings, more=more, tone=tone, faster=faster(gains, new))
-        if worth >= settings.worth and all(gain(one, gains, new, settings)[1] >= HALF for one in orders):
+        if worth >= settings.worth and all(gain(one, gains, new, settings)[1] >= settings.borne_out for one in orders):
             found.append((float(drawn.weights @ saves) if more else worth, new, peaks))
     return max(found, key=lambda one: one[0], default=None)
 

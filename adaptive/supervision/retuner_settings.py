@@ -168,6 +168,7 @@ def demanded(settings: RetunerSettings) -> RetunerSettings:
             book,
             ms_high=nominal * book.ms_high,
             ms_good=nominal * book.ms_good,
+            ms_tried=worst * book.ms_tried,
             cost=replace(book.cost, ms_bad=nominal * book.cost.ms_bad, ms_calm=nominal * book.cost.ms_calm),
         ),
     )

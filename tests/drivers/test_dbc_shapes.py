@@ -457,7 +457,7 @@ def test_silence_is_told_and_what_was_believed_is_sent_again_after_it(stage: Sta
 
 def test_nobody_there_is_one_clear_line() -> None:
     stage = Stage()
-    with pytest.raises(DeviceSilentError, match="no frame of it within 5 s; is the device running there"):
+    with pytest.raises(DeviceSilentError, match="within 5 s of the loop's time; is the device running there"):
         stage.run(300, silent=True)
 
 
