@@ -27,8 +27,11 @@ LEAST_SAMPLES = 5 * PARTS  # A part has at least five samples; a record that is 
 MOST_LOADS = 1  # load steps that it may need: what goes the wrong way runs away from the smallest one
 
 
-def acts_wrong_way(window: Window, direction: int, settings: FitSettings) -> Diagnosis | None:
-    """The verdict, where the record shows it. direction : of the controller, the sign of its gain."""
+def acts_wrong_way(window: Window, direction: int, settings: FitSettings, farthest: float = 0.0) -> Diagnosis | None:
+    """The verdict, where the record shows it. direction : of the controller, the sign of its gain.
+
+    farthest : how far pv was from its setpoint before, under the same gains; what acts the wrong way never comes back.
+    """
     away = np.flatnonzero(window.co != window.co[-1])
     kept = (int(away[-1]) + 2) * (PARTS + 1) // PARTS if away.size else len(window.co)
     if LEAST_SAMPLES <= kept < len(window.co):  # long after co stood still for good, at a limit, nothing new is told
@@ -38,7 +41,7 @@ def acts_wrong_way(window: Window, direction: int, settings: FitSettings) -> Dia
     end = float(np.mean(error[-part:]))
     before = float(np.sqrt(np.mean(error[:part] ** 2)))
     moved = float(np.mean(window.co[-part:]) - np.mean(window.co[:part]))
-    grown = abs(end) > RUNS * before and abs(end) > SIGMAS * noise_sigma(window.pv)
+    grown = abs(end) > max(RUNS * before, farthest) and abs(end) > SIGMAS * noise_sigma(window.pv)
     if not (grown and moved * end * direction > 0) or too_few(window):
         return None
     few = replace(settings, choice=replace(settings.choice, seeded_loads=MOST_LOADS, most_loads=MOST_LOADS))

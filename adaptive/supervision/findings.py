@@ -201,7 +201,9 @@ def action(found: Findings) -> Findings:
     seen = stretch(record.samples, since_s, swing.same_gains)
     if len(seen) < FEWEST_SAMPLES:
         return found
-    wrong = acts_wrong_way(Window.of(seen), record.in_force.direction, settings.diagnosis.fit)
+    before = stretch(record.samples, -math.inf)[: -len(seen)]
+    farthest = max((abs(one.sp - one.pv) for one in before if not one.limited), default=0.0)
+    wrong = acts_wrong_way(Window.of(seen), record.in_force.direction, settings.diagnosis.fit, farthest)
     return found if wrong is None else found.end(WRONG_WAY, wrong.reason, wrong)
 
 

@@ -15,13 +15,15 @@ from loop_bench import GOOD, Bench, made, scaled, table
 
 from retuner.adaptive.choice.choice_settings import ChoiceSettings
 from retuner.adaptive.diagnosis.cause import Cause
+from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.second_opinion import Excitation
+from retuner.adaptive.diagnosis.wrong_way import acts_wrong_way
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.signals.recogniser import RecogniserPhase
 from retuner.adaptive.signals.response import Ending
-from retuner.adaptive.signals.sample import LoopMode, LoopSample
+from retuner.adaptive.signals.sample import LoopMode, LoopSample, Window
 from retuner.adaptive.supervision import confirmation
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
 from retuner.adaptive.supervision.findings import STEPS
@@ -431,6 +433,16 @@ def test_nothing_is_written_and_nothing_learned(wrong: list[Decision]) -> None:
 
 def test_a_loop_that_acts_the_right_way_is_not_called_so() -> None:
     assert "wrong_way" not in {d.code for d in decided(1)}
+
+
+def test_a_load_that_wanders_is_not_the_wrong_way_where_pv_came_back_from_as_far() -> None:
+    bench = Bench(Retuner(table(scaled(0.25, 0.25)), RetunerSettings(1.0, 10.0, Mode.ADVISE)), 1, seed=22)
+    load = np.cumsum(np.random.default_rng(22).standard_normal(2175)) * 0.05
+    seen = [sample for one in load.tolist() for sample in bench.samples(1, 0.0, one, 10.0)]
+    farthest = max(abs(sample.pv) for sample in seen[:-150])
+    window, fit = Window.of(seen[-150:]), DiagnosisSettings().fit
+    assert acts_wrong_way(window, 1, fit) is not None  # by itself the window looks like it
+    assert acts_wrong_way(window, 1, fit, farthest) is None
 
 
 def test_it_is_named_as_well_where_the_loop_never_was_at_rest() -> None:
