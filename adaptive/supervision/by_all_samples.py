@@ -23,7 +23,7 @@ import numpy as np
 from retuner.adaptive.choice.expected_cost import ChoiceNumbers, percent
 from retuner.adaptive.decision_numbers import NO_NUMBERS, Basis
 from retuner.adaptive.diagnosis.cause import MOST, Cause, Diagnosis
-from retuner.adaptive.diagnosis.second_opinion import Excitation
+from retuner.adaptive.diagnosis.second_opinion import Excitation, runs_away
 from retuner.adaptive.explanations.book import MOST_ROOM, MS_OF_ROOM, ODD, Book, doubted, heard, update, with_response
 from retuner.adaptive.explanations.likely_processes import cost_on, costs
 from retuner.adaptive.explanations.process_grid import EVERY_LAG
@@ -224,12 +224,12 @@ def objection(found: Findings, own: Outcome, seen: AllSamples) -> Outcome | None
     Less action is slower for certain, so it must be better on most of the book, and its cause at least as likely there
     as not, unless the change leads back: diagnose says the same of the same samples (cause_odds/). More action must do
     no harm by models and book together, which weigh the same: loads may be steps, or one may wander. Its cause is room,
-    or, where a setpoint step is among the samples, that they bear this change itself. Where a loop whose
-    process was shown mostly rests, no load wanders, and the book must be sure. It must hold half a whole window, or
-    know the process by its setpoint, with the output between its limits, but not where less action comes from a model
-    that is not identifiable. In a swing between limits it objects only where the process runs away. A clear response
-    whose fit is likelier than every process of the book is of one between the points of its grid, or of what the
-    process has become by now.
+    or, where a setpoint step is among the samples, that they bear this change itself. Where a loop whose process was
+    shown mostly rests, no load wanders, and the book must be sure. It must hold half a whole window, or know the
+    process by its setpoint, with the output between its limits, but not where less action comes from a model that
+    is not identifiable. In a swing that grows, or goes between limits, it objects only where the process runs away:
+    a walk explains a few large waves of an unstable loop as well. A clear response whose fit is likelier than every
+    process of the book is of one between the points of its grid, or of what the process has become by now.
     """
     settings, book, told, proof = found.settings.book, seen.book, seen.told, own.proof
     record, look, shown = found.record, seen.look, seen.shown
@@ -238,7 +238,9 @@ def objection(found: Findings, own: Outcome, seen: AllSamples) -> Outcome | None
     now, new, numbers, drawn = record.in_force, proof.gains, own.numbers, book.drawn(settings.drawn)
     less = abs(new.kp) < NEARLY * abs(now.kp) or abs(new.ki) < NEARLY * abs(now.ki)
     away = less and lets_go(drawn, now, new, settings)
-    if (found.growth is not None or (look is not None and any(look.swings[-1:]))) and not away:
+    learned = found.learned
+    grows = learned and runs_away(record.samples, record.response, learned.estimate.explained, found.settings.swing)
+    if (grows or found.growth is not None or (look is not None and any(look.swings[-1:]))) and not away:
         return None
     half = look is not None and float(np.ptp(look.window.t_s)) >= LOOK * book.dt_s
     open_model = less and look and found.in_use and not found.in_use.identifiable

@@ -32,6 +32,11 @@ def test_simc_on_the_whole_batch_has_the_margins_that_are_known_of_it():
     }
 
 
+def test_an_unstable_start_whose_swing_grows_is_cut_at_its_first_response_whatever_a_walk_explains():
+    task = next(t for t in batch.tasks(12622, every=9) if t.member.name == "P5 a=0.6")
+    assert batch.run(task)["spec"][0]
+
+
 @pytest.mark.parametrize("member", processes()[::19], ids=lambda m: m.name)
 def test_perfect_knowledge_is_in_spec_and_gains_far_off_are_not(member):
     judge = Judge(member.process, Judge.theta(member.process) / 8)
