@@ -601,7 +601,7 @@ def put_to_the_book(
     record: Any = SimpleNamespace(
         region=0, region_models={0: SimpleNamespace(identifiable=True)}, excitation=Excitation(clear=int(shown)),
         foreign=0, in_force=now, book=book, crossed=clear is None, samples=[], window=clear,
-        table=SimpleNamespace(lookup=Lookup.HARD), samples=(),
+        table=SimpleNamespace(lookup=Lookup.HARD),
         response=SimpleNamespace(band=100.0 if at_rest else 0.1, damping=None, overshoot=None, sp_changed=False),
     )  # fmt: skip
     look = Look(book, window, grows=grows, limited=0.0, due=due)
