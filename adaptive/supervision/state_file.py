@@ -127,7 +127,7 @@ def _point_in(body: Mapping[str, Any]) -> RecordPoint:
     t_s, x, x2, innovation = (float(body[name]) for name in ("t_s", "x", "x2", "innovation"))
     curve = body.get("co_curve")
     co_curve = None if curve is None else CoCurve(*curve)
-    told = tuple((float(value), float(variance)) for value, variance in body.get("told", ()))  # older ones have none
+    told = tuple((float(value), float(variance)) for value, variance in body["told"])
     return RecordPoint(t_s, x, x2, _log_in(body["log"]), innovation, co_curve, told)
 
 
@@ -137,7 +137,7 @@ def _model_in(body: Mapping[str, Any]) -> ProcessModel:
     return ProcessModel(ProcessType(body["type"]), k, tau1, tau2, theta, zeta, inverse, tau3)
 
 
-VERSION = 14  # version of this layout; any other is refused
+VERSION = 15  # version of this layout; any other is refused
 STATES = (RegionState, RecogniserState, NoiseState, SetpointLed, LoopSample)
 LAYOUT = {kind.__name__: list(kind._fields) for kind in STATES}
 """What is kept by place: numbers that moved would be read as others. Another layout is refused; memories of before
