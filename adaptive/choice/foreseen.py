@@ -75,12 +75,20 @@ def weighed_models(estimate: ModelEstimate | None) -> list[Weighed]:
     return [(log.model(), 1.0), *rounded, *allowed]
 
 
+Limits = tuple[float | None, float | None]
+
+
+def likely_limits(known: Limits, low: float, high: float) -> Limits:
+    """Limits of co: those that are known; in percent where none is and a record stays within. low, high : of its co."""
+    return PERCENT if known == (None, None) and PERCENT[0] <= low <= high <= PERCENT[1] else known
+
+
 def foreseen(
     records: Sequence[Window],
     processes: Sequence[Weighed],
     gains: PidGains | None,
     active: PidGains | None = None,
-    co_limits: tuple[float | None, float | None] = (None, None),
+    co_limits: Limits = (None, None),
 ) -> Foreseen | None:
     """What settings would have made of the records.
 
@@ -95,7 +103,7 @@ def foreseen(
     if not processes or not was > 0.0:
         return None
     low, high = min(float(np.min(one.co)) for one in whole), max(float(np.max(one.co)) for one in whole)
-    limits = PERCENT if co_limits == (None, None) and PERCENT[0] <= low <= high <= PERCENT[1] else co_limits
+    limits = likely_limits(co_limits, low, high)
     error, travel = [], []
     for model, _ in processes:
         rule = gains or robust_simc_on(model, (), whole[0].sample_time_s, RobustSettings(), active).tuning.gains

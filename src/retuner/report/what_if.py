@@ -15,7 +15,7 @@ from importlib.resources import files
 
 import numpy as np
 
-from retuner.adaptive.choice.foreseen import PERCENT
+from retuner.adaptive.choice.foreseen import likely_limits
 from retuner.adaptive.loop.replayed import even, spread
 from retuner.adaptive.loop.simulate import HeldInput
 from retuner.adaptive.process.model import LinearProcess, ProcessModel
@@ -128,9 +128,7 @@ def what_if(asked: WhatIfQuestion) -> dict[str, object]:
         recorded = {"dt": 1.0, "sp": [], "pv": [], "co": [], "limits": [-1e9, 1e9], "range": 1.0, "floor": [0.0, 0.0]}
     else:
         low, high = float(np.min(record.co)), float(np.max(record.co))
-        limits = (
-            PERCENT if asked.co_limits == (None, None) and PERCENT[0] <= low <= high <= PERCENT[1] else asked.co_limits
-        )
+        limits = likely_limits(asked.co_limits, low, high)
         room = 1e6 * max(high - low, 1.0)
         recorded = {
             "dt": record.sample_time_s,
