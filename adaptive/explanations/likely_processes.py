@@ -163,12 +163,12 @@ def expected_cost(likely: LikelyProcesses, gains: PidGains, settings: WorthSetti
 
 
 def harmless(
-    weights: FloatArray, now: FloatArray, new: FloatArray, settings: WorthSettings, most: float = math.nan
+    weights: FloatArray, now: FloatArray, new: FloatArray, settings: WorthSettings, most: float | None = None
 ) -> bool:
     """Whether a change makes a bad loop of next to no process, and few are bad after it. now, new : Ms on each.
     most : Ms above which a loop is bad; of the settings where it is not given.
     """
-    most = settings.ms_bad if math.isnan(most) else most
+    most = settings.ms_bad if most is None else most
     bad = new > most
     made, lost = (float(weights @ one) for one in (bad & (now <= most), np.isinf(new) & ~np.isinf(now)))
     in_all = float(weights @ bad)

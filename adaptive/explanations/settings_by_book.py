@@ -13,7 +13,7 @@ between the grid's points as well (`over_cells`). A change is made where two loo
 
 While a tone may move the loop and the setpoint has not told the process, more action waits; less is weighed with it.
 How the spectrum of a load falls is assumed, and much rests on that in closed loop (Forssell & Ljung 1999). So a change
-by loads alone must be at least as likely better as worse under each order of the walk, less action under each that the
+by loads alone must be better with two thirds of the odds under each order of the walk, less action under each that the
 samples do not refute.
 """
 
@@ -160,8 +160,8 @@ def by_book(book: Book, gains: PidGains, settings: BookSettings) -> ByBook:
         kinds += [MORE_GAIN, MORE_INTEGRAL] if high >= settings.less_odds else [MORE_GAIN]
     tried = [one for kind in kinds for one in _sets(gains, kind, integral_times, settings)]
     leans, best = 0, _best(drawn, gains, tried, settings, more=True, told=told, tone=tone, orders=by_orders)
-    odds = settings.more_odds if told else settings.borne_out
-    if best is not None and gain(drawn, gains, best[1], settings)[1] >= odds:
+    least = settings.more_odds if told else settings.borne_out
+    if best is not None and gain(drawn, gains, best[1], settings)[1] >= least:
         leans = 1
     elif high >= settings.less_odds:
         less = _sets(gains, LESS_OF_ALL, integral_times, settings)

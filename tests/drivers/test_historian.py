@@ -369,7 +369,7 @@ def test_a_day_that_may_be_a_month_is_asked_for_only_where_it_matters(written: C
     with pytest.raises(RecordingError, match=r'may be %d/%m/%Y or %m/%d/%Y; give --time-format "%d/%m/%Y %H:%M:%S"'):
         read_loop_record([asked])
     for hour, minute in ((12, 0), (23, 55)):  # a month would be left out at midnight
-        begin = datetime(2024, 3, 4, hour, minute)  # noqa: DTZ001  a plant's clock has no zone
+        begin = BEGIN.replace(day=4, hour=hour, minute=minute)
         for form in ("%d/%m/%Y %H:%M:%S", "%m/%d/%Y %I:%M:%S %p"):
             is_the_loop(read_loop_record([written(text("Time,SP,PV,OP", stamps(form, begin), SP, PV, CO))]))
 
