@@ -19,7 +19,7 @@ from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis, as
 from retuner.adaptive.diagnosis.diagnose import diagnose_window
 from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.oscillation_online import SwingSettings, stretch
-from retuner.adaptive.guard import Ruling
+from retuner.adaptive.guard.ruling import Ruling
 from retuner.adaptive.signals.response import Ending, Response
 from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.schedule.gains import PidGains

@@ -38,26 +38,19 @@ SHARES_UNKNOWN = (0.5, 0.25)
 
 def borders_of(table: GainTable, region: int, models: Mapping[int, Sequence[Plausible]]) -> tuple[NeighbourBorder, ...]:
     """What the table says of a region's borders. models : what is known of the regions, by index; may lack some."""
-    regions = table.regions
+    regions, interpolated = table.regions, table.lookup is Lookup.INTERPOLATED
+    best = {i: known[0].model for i, known in models.items() if known}
     found = []
     for other in range(len(regions)):
-        steps = [abs(i - j) for i, j in zip(regions.cell(region), regions.cell(other), strict=True)]
+        own, far = regions.cell(region), regions.cell(other)
+        steps = [abs(i - j) for i, j in zip(own, far, strict=True)]
         if max(steps) == 1:
-            beside = _beside(table, region, other, models) if sum(steps) > 1 else ()
-            interpolated = table.lookup is Lookup.INTERPOLATED
-            reach = (
-                1.0 if interpolated else max(_reach(table, region, other, k) for k, step in enumerate(steps) if step)
-            )
-            found.append(
-                NeighbourBorder(
-                    regions.names[other],
-                    table.gains_of(other),
-                    tuple(models.get(other, ())),
-                    reach,
-                    interpolated,
-                    beside,
-                )
-            )
+            # of a cell that is met in a corner only, the two between
+            cells = [regions.region_at((own[0], far[1])), regions.region_at((far[0], own[1]))] if sum(steps) > 1 else ()
+            beside = tuple(DiagonalNeighbour(table.gains_of(cell), best.get(cell)) for cell in cells)
+            reaches = [1.0 if interpolated else _reach(table, region, other, k) for k, step in enumerate(steps) if step]
+            known = table.gains_of(other), tuple(models.get(other, ()))
+            found.append(NeighbourBorder(regions.names[other], *known, max(reaches), interpolated, beside))
     return tuple(sorted(found, key=lambda border: len(border.beside)))
 
 
@@ -68,20 +61,6 @@ def _reach(table: GainTable, region: int, other: int, axis: int) -> float:
     low, high = regions.span(region, axis)
     border = high if far > own else low
     return min((abs(border - own) + regions.axes[axis].hysteresis) / abs(far - own), 1.0)
-
-
-def _beside(
-    table: GainTable, region: int, other: int, models: Mapping[int, Sequence[Plausible]]
-) -> tuple[DiagonalNeighbour, DiagonalNeighbour]:
-    """The two cells between one and the one diagonally opposite."""
-    (i, j), (m, n) = table.regions.cell(region), table.regions.cell(other)
-    one, two = table.regions.region_at((i, n)), table.regions.region_at((m, j))
-    return _cell(table, one, models), _cell(table, two, models)
-
-
-def _cell(table: GainTable, region: int, models: Mapping[int, Sequence[Plausible]]) -> DiagonalNeighbour:
-    known = models.get(region, ())
-    return DiagonalNeighbour(table.gains_of(region), known[0].model if known else None)
 
 
 def at_border(
@@ -233,20 +212,13 @@ def worst_between(
 
     borders : of the region. own : its process at its knot. gains : its set. filter_s : filter time of the derivative.
     """
-    asked = [
-        PlaceBetween(_ms(border, own, gains, share, sample_time_s, filter_s), border.name)
-        for border in borders
-        if border.interpolated or border.models
-        for share in (OWN_HALF if border.interpolated else (border.reach,))
-    ]
+    asked = []
+    for border in borders:
+        shares = OWN_HALF if border.interpolated else (border.reach,) if border.models else ()
+        for share in shares:
+            process = likeliest_between(border, own, share).seen_by_controller(sample_time_s).linear()
+            asked.append(PlaceBetween(sensitivity_peak(process, mixed(gains, border, share), filter_s), border.name))
     return max(asked, default=None)
-
-
-def _ms(
-    border: NeighbourBorder, own: ProcessModel, gains: PidGains, share: float, sample_time_s: float, filter_s: float
-) -> float:
-    process = likeliest_between(border, own, share).seen_by_controller(sample_time_s).linear()
-    return sensitivity_peak(process, mixed(gains, border, share), filter_s)
 
 
 def eased(

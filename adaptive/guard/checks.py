@@ -11,15 +11,7 @@ from dataclasses import replace
 from retuner.adaptive.decision_numbers import Numbers
 from retuner.adaptive.guard.guard_settings import GuardSettings
 from retuner.adaptive.guard.request import ChangeRequest
-from retuner.adaptive.guard.ruling import (
-    BorderNumbers,
-    Check,
-    DoubtNumbers,
-    LimitNumbers,
-    NotRobustNumbers,
-    Ruling,
-    text,
-)
+from retuner.adaptive.guard.ruling import BorderNumbers, Check, LimitNumbers, NotRobustNumbers, text
 from retuner.adaptive.guard.step_size import MORE_WHEN_LARGER, Parameter, logs, step_limit
 from retuner.schedule.gains import PidGains
 
@@ -56,21 +48,6 @@ def no_worse(check: Check, in_force: float, terms: str = "no further than") -> C
     return _on_terms(check, met, f"{terms} the active value, {text(check.name, in_force)}")
 
 
-def evidence_doubt(request: ChangeRequest, settings: GuardSettings) -> tuple[Ruling, DoubtNumbers] | None:
-    """The first of them that failed, as a ruling."""
-    rulings = {
-        "records": (Ruling.TOO_FEW_RECORDS, "records"),
-        "age": (Ruling.TOO_OLD, "age_s"),
-        "innovation": (Ruling.CONTRADICTED, "innovation"),
-        "settled": (Ruling.NOT_SETTLED, "settled"),
-    }
-    for check in evidence_checks(request, settings):
-        if not check.passed:
-            ruling, name = rulings[check.name]
-            return ruling, DoubtNumbers(check.limit, **{name: check.value})
-    return None
-
-
 def limit_checks(
     request: ChangeRequest,
     gains: PidGains,
@@ -87,19 +64,15 @@ def limit_checks(
         the settings'.
     """
     found = []
-    before, after = logs(request.in_force), logs(gains)
-    for parameter in Parameter:
-        if parameter not in before or parameter not in after:
-            continue
-        way = after[parameter] - before[parameter]
+    before, now, after = logs(request.commissioned), logs(request.in_force), logs(gains)
+    alone = urgent or not (request.in_force.kp and gains.kp)
+    for parameter in (one for one in Parameter if one in now and one in after):
+        way = after[parameter] - now[parameter]
         more = (way > 0) == MORE_WHEN_LARGER[parameter]
-        alone = urgent or not (request.in_force.kp and gains.kp)
         limit = step_limit(parameter, more=more, settings=settings, alone=alone) if factor is None else factor
         limit = math.inf if urgent and (not more or parameter is Parameter.TAU_I) else limit
-        value = math.exp(abs(way))
         words = f"factor of {parameter} in one change, towards {'more' if more else 'less'} control action"
-        found.append(Check(f"step_{parameter.name.lower()}", words, value, limit, value <= limit * (1 + ROUNDING)))
-    before, now, after = logs(request.commissioned), logs(request.in_force), logs(gains)
+        found.append(_at_most(f"step_{parameter.name.lower()}", words, math.exp(abs(way)), limit))
     floor = min(settings.tau_i_samples * request.sample_time_s, math.exp(now.get(Parameter.TAU_I, math.inf)))
     absolute = {
         Parameter.KC: (settings.kc_min, settings.kc_max),
@@ -112,46 +85,45 @@ def limit_checks(
             less = (way > 0) != MORE_WHEN_LARGER[parameter]
             value, limit = math.exp(abs(way)), math.inf if over_limit and less else settings.total_ratio_max
             forced = least / start if way > 0 else start / most
-            words = f"{parameter} as a factor of its baseline"
-            name, limit = f"total_{parameter.name.lower()}", max(limit, forced)
-            check = Check(name, words, value, limit, value <= limit * (1 + ROUNDING))
             gone = now.get(parameter, before[parameter]) - before[parameter]
+            words = f"{parameter} as a factor of its baseline"
+            check = _at_most(f"total_{parameter.name.lower()}", words, value, max(limit, forced))
             found.append(no_worse(check, math.exp(math.copysign(1.0, way) * gone)))
     return [*found, *_absolute(request, gains, settings)]
 
 
-def _absolute(request: ChangeRequest, new: PidGains, s: GuardSettings) -> list[Check]:
+def _at_most(name: str, words: str, value: float, limit: float) -> Check:
+    return Check(name, words, value, limit, value <= limit * (1 + ROUNDING))
+
+
+def _absolute(request: ChangeRequest, new: PidGains, s: GuardSettings) -> Iterator[Check]:
     """Limits that somebody set, and the sampling time."""
-    old, found = request.in_force, []
-    if s.kc_min > 0:
-        found.append(_least("kc_min", "kc, at least kc_min", abs(new.kp), s.kc_min, abs(old.kp)))
-    if s.kc_max < math.inf:
-        found.append(_most("kc_max", "kc, at most kc_max", abs(new.kp), s.kc_max, abs(old.kp)))
-    if new.kp and new.ki:
-        tau_i, now = new.kp / new.ki, old.kp / old.ki if old.kp and old.ki else math.nan
-        least = max(s.tau_i_min_s, s.tau_i_samples * request.sample_time_s)
-        found.append(_least("tau_i_min", "tau_I, s, lower limit", tau_i, least, now))
-        if s.tau_i_max_s < math.inf:
-            found.append(_most("tau_i_max", "tau_I, s, upper limit", tau_i, s.tau_i_max_s, now))
-    if new.kp and new.kd:
-        tau_d, now = new.kd / new.kp, old.kd / old.kp if old.kp and old.kd else math.nan
-        least = s.tau_d_samples * request.sample_time_s
-        found.append(_least("tau_d_min", "tau_D, s, lower limit", tau_d, least, now))
-        if s.tau_d_max_s < math.inf:
-            found.append(_most("tau_d_max", "tau_D, s, upper limit", tau_d, s.tau_d_max_s, now))
-    return found
+    old, dt_s = request.in_force, request.sample_time_s
+    asked = (
+        ("kc", "kc, at least kc_min", "kc, at most kc_max", (abs(new.kp), abs(old.kp)), s.kc_min or None, s.kc_max),
+        (
+            "tau_i", "tau_I, s, lower limit", "tau_I, s, upper limit",
+            (_ratio(new.kp, new.ki), _ratio(old.kp, old.ki)), max(s.tau_i_min_s, s.tau_i_samples * dt_s), s.tau_i_max_s,
+        ),
+        (
+            "tau_d", "tau_D, s, lower limit", "tau_D, s, upper limit",
+            (_ratio(new.kd, new.kp), _ratio(old.kd, old.kp)), s.tau_d_samples * dt_s, s.tau_d_max_s,
+        ),
+    )  # fmt: skip
+    for name, lower, upper, (value, in_force), least, most in asked:
+        if math.isnan(value):
+            continue
+        if least is not None:
+            check = Check(f"{name}_min", lower, value, least, value * (1 + ROUNDING) >= least)
+            met = value * (1 + ROUNDING) >= in_force
+            yield _on_terms(check, met, f"no further than the active value, {text(check.name, in_force)}")
+        if most < math.inf:
+            yield no_worse(_at_most(f"{name}_max", upper, value, most), in_force)
 
 
-def _most(name: str, words: str, value: float, limit: float, in_force: float) -> Check:
-    """A largest value; in_force : NaN where there is none."""
-    return no_worse(Check(name, words, value, limit, value <= limit * (1 + ROUNDING)), in_force)
-
-
-def _least(name: str, words: str, value: float, limit: float, in_force: float) -> Check:
-    """A least value, which passes where the value in force is as small; in_force : NaN where there is none."""
-    check = Check(name, words, value, limit, value * (1 + ROUNDING) >= limit)
-    met = value * (1 + ROUNDING) >= in_force
-    return _on_terms(check, met, f"no further than the active value, {text(name, in_force)}")
+def _ratio(a: float, b: float) -> float:
+    """a / b; NaN where the controller lacks one of the two."""
+    return a / b if a and b else math.nan
 
 
 def robustness_checks(ms: tuple[float, float], in_force: tuple[float, float], settings: GuardSettings) -> list[Check]:

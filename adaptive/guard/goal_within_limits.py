@@ -70,13 +70,16 @@ def goals(
     unlocked = request.locks.keep(wanted, request.in_force)
     if unlocked.kp == 0.0 or wanted.kp == 0.0:
         return [Goal(unlocked, unlocked, tau_c_s)]
-    limits = _Limits(request, settings, over_limit)
+    of_kc, of_tau_i, of_tau_d = _bounds(request, settings, over_limit=over_limit)
     kc, tau_i = abs(unlocked.kp), unlocked.kp / unlocked.ki if unlocked.ki else math.inf
     tau_d = unlocked.kd / unlocked.kp
     locks = request.locks
-    kc_cut, kc_by = _cut(kc, *limits.kc()) if not locks.kc else (kc, None)
-    tau_i_cut, tau_i_by = _cut(tau_i, *limits.tau_i()) if unlocked.ki and not locks.tau_i else (tau_i, None)
-    tau_d_cut, tau_d_by = limits.cut_tau_d(tau_d)
+    kc_cut, kc_by = _cut(kc, *of_kc) if not locks.kc else (kc, None)
+    tau_i_cut, tau_i_by = _cut(tau_i, *of_tau_i) if unlocked.ki and not locks.tau_i else (tau_i, None)
+    tau_d_cut, tau_d_by = _cut(tau_d, *of_tau_d) if tau_d and not locks.tau_d else (tau_d, None)
+    least = settings.tau_d_samples * request.sample_time_s
+    if tau_d and not locks.tau_d and tau_d_cut < least:  # so short a derivative is left out
+        tau_d_cut, tau_d_by = 0.0, tau_d_by or Bound(least, "limit of the sampling time", None)
     cuts = [("kc", kc, kc_cut, kc_by), ("tau_I", tau_i, tau_i_cut, tau_i_by), ("tau_D", tau_d, tau_d_cut, tau_d_by)]
     held: dict[str, list[str]] = {}
     for name, was, now, by in cuts:
@@ -93,13 +96,13 @@ def goals(
         return [first]
     # As it was cut, and with the other one moved with a cut kc or tau_I, in the order to be tried
     direction = unlocked.direction
-    shorter, _ = _cut(tau_i * kc_cut / kc, *limits.tau_i())
+    shorter, _ = _cut(tau_i * kc_cut / kc, *of_tau_i)
     moved = replace(first, gains=_made(direction, kc_cut, shorter, tau_d_cut), notes=("tau_I moved with Kc", *notes))
     may_move = kc_cut < kc and not locks.tau_i and unlocked.ki != 0.0
     by_integral = may_move and bool(request.models) and asks_for_integral(request.models[0].model)
     found = [first]
     if tau_i_by is not None and not locks.kc:
-        kept, _ = _cut(kc * tau_i_cut / tau_i, *limits.kc())
+        kept, _ = _cut(kc * tau_i_cut / tau_i, *of_kc)
         second = replace(
             first, gains=_made(direction, kept, tau_i_cut, tau_d_cut), notes=("Kc moved with tau_I", *notes)
         )
@@ -133,56 +136,37 @@ def _integral_turned(goal: Goal, in_force: PidGains) -> Goal:
     return replace(goal, no_room=goal.no_room or abs(math.log(left / now)) > SLACK)
 
 
-class _Limits:
-    """Lower and upper bounds of the parameters for one request."""
+def _sizes(gains: PidGains) -> tuple[float, float, float]:
+    """kc, tau_I and tau_D; 0 for one that the controller lacks."""
+    return abs(gains.kp), gains.kp / gains.ki if gains.ki else 0.0, gains.kd / gains.kp if gains.kp else 0.0
 
-    def __init__(self, request: ChangeRequest, settings: GuardSettings, over_limit: bool) -> None:
-        self._request, self._settings, self._over = request, settings, over_limit
 
-    def kc(self) -> tuple[Bound, Bound]:
-        s, start, now = self._settings, abs(self._request.commissioned.kp), abs(self._request.in_force.kp)
-        low = Bound(s.kc_min, "kc_min", Ruling.OUTSIDE_LIMITS)
-        high = Bound(s.kc_max, "kc_max", Ruling.OUTSIDE_LIMITS)
-        return self._with_total(low, high, (start, now), down=not self._over, up=True)
+def _bounds(request: ChangeRequest, s: GuardSettings, *, over_limit: bool) -> list[tuple[Bound, Bound]]:
+    """Lower and upper bounds of kc, tau_I and tau_D.
 
-    def tau_i(self) -> tuple[Bound, Bound]:
-        s = self._settings
-        start, now = (g.kp / g.ki if g.ki else 0.0 for g in (self._request.commissioned, self._request.in_force))
-        floor = min(s.tau_i_samples * self._request.sample_time_s, now or math.inf)
-        low = Bound(s.tau_i_min_s, "tau_i_min", Ruling.OUTSIDE_LIMITS)
-        if floor > low.value:
-            low = Bound(floor, "limit of the sampling time", None)
-        high = Bound(s.tau_i_max_s, "tau_i_max", Ruling.OUTSIDE_LIMITS)
-        return self._with_total(low, high, (start, now), down=True, up=not self._over)
-
-    def cut_tau_d(self, tau_d: float) -> tuple[float, Bound | None]:
-        """A derivative shorter than its least share of the sampling time is left out."""
-        s = self._settings
-        if self._request.locks.tau_d or tau_d == 0.0:
-            return tau_d, None
-        least = s.tau_d_samples * self._request.sample_time_s
-        start, now = (g.kd / g.kp if g.kp else 0.0 for g in (self._request.commissioned, self._request.in_force))
-        high = Bound(s.tau_d_max_s, "tau_d_max", Ruling.OUTSIDE_LIMITS)
-        low = Bound(0.0, "no limit", None)
-        found, by = _cut(tau_d, *self._with_total(low, high, (start, now), down=not self._over, up=True))
-        return (0.0, by or Bound(least, "limit of the sampling time", None)) if found < least else (found, by)
-
-    def _with_total(
-        self, low: Bound, high: Bound, values: tuple[float, float], *, down: bool, up: bool
-    ) -> tuple[Bound, Bound]:
-        """Narrowed by the ratio to the commissioned value, as far as the absolute limits leave room for that.
-
-        values : commissioned and in force. What is in force beyond the ratio may stay there, but go no farther.
-        """
-        start, now = values
-        ratio = self._settings.total_ratio_max
-        name = f"at most {ratio:g}x baseline. Raise total_ratio_max or accept the new baseline."
+    They are the absolute ones, narrowed by the ratio to the commissioned value as far as these leave room for it, but
+    not towards less action of a loop over its Ms limit. What is in force beyond the ratio may stay, but go no farther.
+    """
+    outside, sampling = Ruling.OUTSIDE_LIMITS, "limit of the sampling time"
+    starts, in_force = _sizes(request.commissioned), _sizes(request.in_force)
+    floor = min(s.tau_i_samples * request.sample_time_s, in_force[1] or math.inf)
+    shortest = Bound(floor, sampling, None) if floor > s.tau_i_min_s else Bound(s.tau_i_min_s, "tau_i_min", outside)
+    absolute = (
+        (Bound(s.kc_min, "kc_min", outside), Bound(s.kc_max, "kc_max", outside)),
+        (shortest, Bound(s.tau_i_max_s, "tau_i_max", outside)),
+        (Bound(0.0, "no limit", None), Bound(s.tau_d_max_s, "tau_d_max", outside)),
+    )
+    ratio, found = s.total_ratio_max, []
+    name = f"at most {ratio:g}x baseline. Raise total_ratio_max or accept the new baseline."
+    for limits, start, now, longer_is_less in zip(absolute, starts, in_force, (False, True, False), strict=True):
+        low, high = limits
         most, least = max(start * ratio, now), min(start / ratio, now or math.inf)
-        if start and up and most < high.value:
+        if start and not (over_limit and longer_is_less) and most < high.value:
             high = Bound(max(most, low.value), name, Ruling.OUTSIDE_TOTAL)
-        if start and down and low.value < least:
+        if start and (longer_is_less or not over_limit) and low.value < least:
             low = Bound(min(least, high.value), name, Ruling.OUTSIDE_TOTAL)
-        return low, high
+        found.append((low, high))
+    return found
 
 
 def without_short_derivative(gains: PidGains, request: ChangeRequest, settings: GuardSettings) -> PidGains:
@@ -205,17 +189,11 @@ def _made(direction: int, kc: float, tau_i: float, tau_d: float) -> PidGains:
 
 def _limiting(cuts: list[Cut], request: ChangeRequest) -> tuple[bool, Ruling | None, Numbers]:
     """The bound that pushes a parameter away from where it was to go, or else the first that cuts one; and which."""
-    old = request.in_force
-    now = {
-        "kc": abs(old.kp),
-        "tau_I": old.kp / old.ki if old.kp and old.ki else 0.0,
-        "tau_D": old.kd / old.kp if old.kp else 0.0,
-    }
     first: tuple[bool, Ruling | None, Numbers] = (False, None, NO_NUMBERS)
-    for name, wanted, cut, by in cuts:
+    for (_, wanted, cut, by), start in zip(cuts, _sizes(request.in_force), strict=True):
         if by is None or by.ruling is None:
             continue
-        start, numbers = now[name], LimitNumbers(wanted, by.value)
+        numbers = LimitNumbers(wanted, by.value)
         turned = start > 0 and (wanted > start) != (cut > start)
         if turned and (not cut or abs(math.log(cut / start)) > SLACK):
             return True, by.ruling, numbers

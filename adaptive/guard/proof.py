@@ -18,19 +18,14 @@ from collections.abc import Iterator, Sequence
 
 from retuner.adaptive.decision_numbers import NO_NUMBERS, Numbers
 from retuner.adaptive.guard.both_sides_of_boundary import at_border, no_worse
-from retuner.adaptive.guard.checks import (
-    evidence_checks,
-    evidence_doubt,
-    failed_checks,
-    limit_checks,
-    robustness_checks,
-)
+from retuner.adaptive.guard.checks import evidence_checks, failed_checks, limit_checks, robustness_checks
 from retuner.adaptive.guard.goal_within_limits import Goal, calmer, goals, nothing_left, without_short_derivative
 from retuner.adaptive.guard.guard_settings import GuardSettings
 from retuner.adaptive.guard.request import ChangeRequest, NeighbourBorder, Support
 from retuner.adaptive.guard.ruling import (
     BorderNumbers,
     Check,
+    DoubtNumbers,
     FactorNumbers,
     LimitNumbers,
     NotRobustNumbers,
@@ -48,9 +43,7 @@ from retuner.adaptive.rules.simc import simc, without_second_lag
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, field, replace
 
-# Ms of one set of gains on every model that is allowed, evaluated when asked and only once.
-#
-# A set is safer than another when, on the models that are stable with either,
+# A set of gains is safer than another when, on the allowed models that are stable with either,
 #
 #     Ms falls on the process, falls at worst, and rises on no model,
 #
@@ -59,8 +52,11 @@ from retuner.schedule.late_dataclass import dataclass, field, replace
 # the run away on any process; or a step on the straight way to a goal that is stable there.
 
 
-class Loops:
-    """Several processes, the first the one identified; filter_s : filter time of the controller's derivative."""
+class MsOnModels:
+    """Ms of sets of gains on several processes, the first the one identified.
+
+    filter_s : filter time of the controller's derivative.
+    """
 
     def __init__(self, processes: Sequence[LinearProcess], filter_s: float = 0.0) -> None:
         self._processes, self._filter_s = tuple(processes), filter_s
@@ -90,10 +86,6 @@ class Loops:
                 self._order.insert(0, self._order.pop(place))
                 return False
         return True
-
-    def all_over(self, gains: PidGains, limit: float) -> bool:
-        """Whether Ms is over a limit on every model (and there is one)."""
-        return bool(self._processes) and all(self.ms(i, gains) > limit for i in range(len(self)))
 
     def safer(self, old: PidGains, new: PidGains, goal: PidGains) -> bool:
         """Whether new is safer than old (see above this class); goal : where the step leads."""
@@ -128,8 +120,7 @@ def slower_settings(request: ChangeRequest, settings: GuardSettings) -> Sequence
     return [simc(model, wanted.tau_c_s * whole ** (i / STEPS), kind) for i in range(1, STEPS + 1)]
 
 
-CALMED = 0.98
-"""Share of an Ms over its limit between two knots that a cure may leave; a change that leaves more is none."""
+CALMED = 0.98  # A change must bring an Ms that is over its limit between two knots down to this share of it
 SHARES = (1.0, 0.5, 0.25)  # Full, half and quarter step
 SHORT_OF_LIMIT = (1.0, 1.0 - 1e-6, 0.99, 0.95, 0.9)  # shares of a step that are tried where the controller rounds
 
@@ -138,7 +129,7 @@ SHORT_OF_LIMIT = (1.0, 1.0 - 1e-6, 0.99, 0.95, 0.9)  # shares of a step that are
 class _Case:
     request: ChangeRequest
     settings: GuardSettings
-    loops: Loops
+    on_models: MsOnModels
     at_border: Check | None = None
     outside: Check | None = None
     asked: dict[tuple[str, PidGains], tuple[float, bool]] = field(default_factory=dict)
@@ -149,8 +140,9 @@ class _Case:
     def __post_init__(self) -> None:
         old, s = self.request.in_force, self.settings
         self.between = self.most_between(old)
-        over = len(self.loops) > 0 and not self.loops.within(old, s.ms_nominal, s.ms_worst)
-        self.oscillates = over and self.loops.all_over(old, s.ms_worst)
+        models = range(len(self.on_models))
+        over = bool(models) and not self.on_models.within(old, s.ms_nominal, s.ms_worst)
+        self.oscillates = over and all(self.on_models.ms(i, old) > s.ms_worst for i in models)
         self.over = over or self.between > s.ms_border
 
     def most_between(self, gains: PidGains) -> float:
@@ -160,20 +152,11 @@ class _Case:
 
     def at(self, border: NeighbourBorder, gains: PidGains) -> tuple[float, bool]:
         """Ms at a border, and whether it is proved there; asked once."""
-        key, request = (border.name, gains), self.request
+        key, (limit, asked) = (border.name, gains), (self.settings.ms_border, self.request)
         if key not in self.asked:
-            limit, old = self.settings.ms_border, request.in_force
-            self.asked[key] = at_border(
-                border, request.models, gains, old, limit, request.sample_time_s, request.filter_s
-            )
+            loop = asked.sample_time_s, asked.filter_s
+            self.asked[key] = at_border(border, asked.models, gains, asked.in_force, limit, *loop)
         return self.asked[key]
-
-    def calmer_between(self, gains: PidGains) -> bool:
-        """Whether gains are no more than allowed between the knots, or less than what is in force."""
-        limit, old = self.settings.ms_border, self.request.in_force
-        if self.between <= limit:
-            return True
-        return no_worse(self.most_between(gains), max(limit, self.between * CALMED), old, gains)
 
     @property
     def urgent(self) -> bool:
@@ -183,8 +166,8 @@ class _Case:
 def prove(request: ChangeRequest, settings: GuardSettings) -> Proof:
     """Decide what may be written; see the head of this file."""
     processes = [p.model.seen_by_controller(request.sample_time_s).linear() for p in request.models]
-    case = _Case(request, settings, Loops(processes, request.filter_s))
-    doubt = _door(case) or evidence_doubt(request, settings)
+    case = _Case(request, settings, MsOnModels(processes, request.filter_s))
+    doubt = _entry_doubt(request, settings)
     if doubt is not None and not (doubt[0] in EVIDENCE and (case.over or request.urgent)):
         return _refused(case, *doubt)
     open_goals, refusal = _open_goals(case)
@@ -200,12 +183,20 @@ def prove(request: ChangeRequest, settings: GuardSettings) -> Proof:
 
 UNPROVED = {False: Ruling.UNPROVED_STEP, True: Ruling.UNPROVED_WAY_OUT}
 """Ruling of a change without a model: not urgent, urgent."""
-EVIDENCE = frozenset({Ruling.TOO_FEW_RECORDS, Ruling.TOO_OLD, Ruling.CONTRADICTED, Ruling.NOT_SETTLED})
+DOUBTS = {
+    "records": (Ruling.TOO_FEW_RECORDS, "records"),
+    "age": (Ruling.TOO_OLD, "age_s"),
+    "innovation": (Ruling.CONTRADICTED, "innovation"),
+    "settled": (Ruling.NOT_SETTLED, "settled"),
+}
+"""Ruling of a check of the evidence that failed, and the name of its number."""
+EVIDENCE = frozenset(ruling for ruling, _ in DOUBTS.values())
 """Doubts that leave the way to less of everything open for a loop over its limit."""
 
 
-def _door(case: _Case) -> tuple[Ruling, Numbers] | None:
-    request, wanted = case.request, case.request.proposal
+def _entry_doubt(request: ChangeRequest, settings: GuardSettings) -> tuple[Ruling, Numbers] | None:
+    """What speaks against a change before it is looked at: its direction, its numbers, the evidence behind it."""
+    wanted = request.proposal
     if wanted.gains.direction != request.in_force.direction:
         return Ruling.WRONG_SIGN, SignNumbers(float(wanted.gains.direction), float(request.in_force.direction))
     ratios = [a / b for a, b in ((wanted.gains.kp, wanted.gains.ki), (wanted.gains.kd, wanted.gains.kp)) if a and b]
@@ -213,6 +204,10 @@ def _door(case: _Case) -> tuple[Ruling, Numbers] | None:
         return Ruling.NOT_FINITE, WantedNumbers(wanted.gains.kp)
     if not request.models and request.evidence.support is Support.MODEL:
         return Ruling.NO_MODEL, NO_NUMBERS
+    for check in evidence_checks(request, settings):
+        if not check.passed:
+            ruling, name = DOUBTS[check.name]
+            return ruling, DoubtNumbers(check.limit, **{name: check.value})
     return None
 
 
@@ -300,7 +295,7 @@ def _inside(case: _Case, candidate: Goal) -> Iterator[Goal]:
 def _safe_direction(case: _Case, gains: PidGains, aim: PidGains) -> bool:
     """Whether a step is one that an oscillating loop may take at once."""
     old = case.request.in_force
-    return less_of_everything(old, gains) if not case.over else case.loops.safer(old, gains, aim)
+    return less_of_everything(old, gains) if not case.over else case.on_models.safer(old, gains, aim)
 
 
 def _best(case: _Case, tried: list[Goal], doubted: bool) -> Proof | None:
@@ -308,20 +303,21 @@ def _best(case: _Case, tried: list[Goal], doubted: bool) -> Proof | None:
 
     That step is tried at the slowest tau_c first.
     """
-    s, loops, old = case.settings, case.loops, case.request.in_force
+    s, on_models, old = case.settings, case.on_models, case.request.in_force
     for candidate in () if doubted else tried:
         factor = change_factor(old, candidate.gains)
         if factor < s.smallest_change and not case.over:
             if candidate.whole:
                 return _refused(case, Ruling.TOO_SMALL, FactorNumbers(factor, s.smallest_change))
             continue
-        if loops.within(candidate.gains, s.ms_nominal, s.ms_worst) and _borders_hold(case, candidate.gains):
+        if on_models.within(candidate.gains, s.ms_nominal, s.ms_worst) and _borders_hold(case, candidate.gains):
             return _accepted(case, candidate, Ruling.URGENT if candidate.beyond else Ruling.ACCEPTED)
     if not case.over:
         return None
     by_safety = sorted(tried, key=lambda c: (not c.beyond, not c.whole, -c.tau_c_s, -c.share))
     for candidate in by_safety:
-        if loops.safer(old, candidate.gains, candidate.aim or candidate.gains) and _borders_hold(case, candidate.gains):
+        gains = candidate.gains
+        if on_models.safer(old, gains, candidate.aim or gains) and _borders_hold(case, gains):
             return _accepted(case, candidate, Ruling.SAFER)
     return None
 
@@ -333,16 +329,16 @@ def _borders_hold(case: _Case, gains: PidGains) -> bool:
         if check is not None and not check.passed:
             case.at_border = case.at_border or check
             return False
-    return case.calmer_between(gains)
+    limit = case.settings.ms_border
+    if case.between <= limit:
+        return True
+    return no_worse(case.most_between(gains), max(limit, case.between * CALMED), case.request.in_force, gains)
 
 
 def _border_check(case: _Case, border: NeighbourBorder, gains: PidGains) -> Check | None:
-    limit, (ms, passed) = case.settings.ms_border, case.at(border, gains)
-    if math.isnan(ms):
-        return None
-    return Check(
-        "ms_border", f"Ms at the boundary to region {border.name} (or no worse than before)", ms, limit, passed
-    )
+    ms, passed = case.at(border, gains)
+    words = f"Ms at the boundary to region {border.name} (or no worse than before)"
+    return None if math.isnan(ms) else Check("ms_border", words, ms, case.settings.ms_border, passed)
 
 
 def _why_not(case: _Case, tried: list[Goal]) -> tuple[Ruling, Numbers]:
@@ -351,13 +347,13 @@ def _why_not(case: _Case, tried: list[Goal]) -> tuple[Ruling, Numbers]:
     if not tried:
         return _outside(case)
     gains = tried[-1].gains
-    if case.at_border is not None and case.loops.within(gains, s.ms_nominal, s.ms_worst):
+    if case.at_border is not None and case.on_models.within(gains, s.ms_nominal, s.ms_worst):
         return Ruling.NOT_ROBUST_AT_BORDER, BorderNumbers(case.at_border.value, case.at_border.limit)
     return _not_robust(case, gains)
 
 
 def _not_robust(case: _Case, gains: PidGains) -> tuple[Ruling, Numbers]:
-    s, tried_ms = case.settings, (case.loops.nominal(gains), case.loops.worst(gains))
+    s, tried_ms = case.settings, (case.on_models.nominal(gains), case.on_models.worst(gains))
     return Ruling.NOT_ROBUST, NotRobustNumbers(*tried_ms, s.ms_nominal, s.ms_worst)
 
 
@@ -387,19 +383,16 @@ def _unproved(case: _Case, goal: Goal) -> Proof:
     case.outside = next((check for check in checks if not check.passed), None)
     if case.outside is not None:
         return _refused(case, *_outside(case), goal.notes)
-    step = _share(request.in_force, gains, goal)
-    ruling = UNPROVED[way_out]
-    return Proof(
-        ruling, gains, step, math.nan, math.nan, math.nan, goal.tau_c_s, numbers, checks, goal.notes, (), way_out
-    )
+    step, ms = _share(request.in_force, gains, goal), (math.nan,) * 3
+    return Proof(UNPROVED[way_out], gains, step, *ms, goal.tau_c_s, numbers, checks, goal.notes, (), way_out)
 
 
 def _accepted(case: _Case, candidate: Goal, ruling: Ruling) -> Proof:
-    request, s, loops, gains = case.request, case.settings, case.loops, candidate.gains
-    nominal, worst, before = loops.nominal(gains), loops.worst(gains), loops.nominal(request.in_force)
-    before_worst = loops.worst(request.in_force)
+    request, s, on_models, gains = case.request, case.settings, case.on_models, candidate.gains
+    nominal, worst = on_models.nominal(gains), on_models.worst(gains)
+    before, before_worst = on_models.nominal(request.in_force), on_models.worst(request.in_force)
     told = before_worst if ruling == Ruling.SAFER else None
-    numbers = ProofNumbers(nominal, worst, before, float(len(loops)), told)
+    numbers = ProofNumbers(nominal, worst, before, float(len(on_models)), told)
     borders = (_border_check(case, border, gains) for border in request.borders)
     checks = (
         *evidence_checks(request, s, less=less_of_everything(request.in_force, gains)),
@@ -416,9 +409,9 @@ def _accepted(case: _Case, candidate: Goal, ruling: Ruling) -> Proof:
 
 
 def _refused(case: _Case, ruling: Ruling, numbers: Numbers, notes: tuple[str, ...] = ()) -> Proof:
-    request, s, loops = case.request, case.settings, case.loops
-    nominal, worst = loops.nominal(request.in_force), loops.worst(request.in_force)
-    checks = (*evidence_checks(request, s), *failed_checks(numbers))
+    request = case.request
+    nominal, worst = case.on_models.nominal(request.in_force), case.on_models.worst(request.in_force)
+    checks = (*evidence_checks(request, case.settings), *failed_checks(numbers))
     return Proof(
         ruling, None, 0.0, nominal, worst, nominal, request.proposal.tau_c_s or 0.0, numbers, checks, notes,
         tuple(request.models), False,

@@ -11,6 +11,7 @@ from enum import StrEnum
 
 from retuner.adaptive.guard.guard_settings import GuardSettings
 from retuner.schedule.gains import PidGains
+from retuner.schedule.table import GAIN_NAMES
 
 
 class Parameter(StrEnum):
@@ -25,7 +26,6 @@ class Parameter(StrEnum):
 MORE_WHEN_LARGER = {Parameter.KC: True, Parameter.TAU_I: False, Parameter.TAU_D: True, Parameter.INTEGRAL: True}
 """Whether a larger value is more action."""
 ROUNDING = 1e-12  # difference up to which a parameter counts as unchanged
-GAIN_NAMES = ("kp", "ki", "kd")
 
 
 def logs(gains: PidGains) -> dict[Parameter, float]:

@@ -15,8 +15,10 @@ import numpy as np
 
 from retuner.adaptive.decision_numbers import Basis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
-from retuner.adaptive.guard import SAME_GAINS, GuardSettings, Proof, change_factor, prove, within_limits
-from retuner.adaptive.guard.step_size import less_of_everything
+from retuner.adaptive.guard.guard_settings import GuardSettings
+from retuner.adaptive.guard.proof import prove
+from retuner.adaptive.guard.ruling import Proof
+from retuner.adaptive.guard.step_size import SAME_GAINS, change_factor, less_of_everything, within_limits
 from retuner.adaptive.orders.pending_proposal import Proposal, ProposalStanding
 from retuner.adaptive.region_model.update import update_region_model
 from retuner.adaptive.rules.rule import Tuning

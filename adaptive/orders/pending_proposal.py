@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from enum import StrEnum
 from typing import Any
 
-from retuner.adaptive.guard import SAME_GAINS, change_factor
+from retuner.adaptive.guard.step_size import SAME_GAINS, change_factor
 from retuner.adaptive.supervision.decision import Action, Decision
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass

@@ -42,8 +42,9 @@ from retuner.adaptive.explanations.settings_by_book import (
 )
 from retuner.adaptive.explanations.tone import tone_of
 from retuner.adaptive.explanations.wandering_load import TEMPER, Prepared, lead_of_steps, log_likelihoods
-from retuner.adaptive.guard import Proof, prove
+from retuner.adaptive.guard.proof import prove
 from retuner.adaptive.guard.request import Evidence
+from retuner.adaptive.guard.ruling import Proof
 from retuner.adaptive.guard.step_size import less_of_everything
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak

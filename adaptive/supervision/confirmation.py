@@ -21,7 +21,7 @@ from retuner.adaptive.explanations.book import Book
 from retuner.adaptive.explanations.tone import tone_of
 from retuner.adaptive.explanations.valve_odds import WEIGHT, log_odds_of_valve
 from retuner.adaptive.explanations.wandering_load import Prepared
-from retuner.adaptive.guard import Proof
+from retuner.adaptive.guard.ruling import Proof
 from retuner.adaptive.identification.estimate import log_controller
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.sampled import SampledLaw

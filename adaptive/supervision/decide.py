@@ -23,8 +23,10 @@ from retuner.adaptive.choice.expected_cost import Choice, Choosable, LoopSetting
 from retuner.adaptive.decision_numbers import Basis
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import SWINGING
-from retuner.adaptive.guard import GuardSettings, Proof, prove
 from retuner.adaptive.guard.both_sides_of_boundary import worst_between
+from retuner.adaptive.guard.guard_settings import GuardSettings
+from retuner.adaptive.guard.proof import prove
+from retuner.adaptive.guard.ruling import Proof
 from retuner.adaptive.guard.step_size import along
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import ANEW, Agreement

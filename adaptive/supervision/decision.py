@@ -15,7 +15,7 @@ from retuner.adaptive.diagnosis.cause import Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.explanations.book import Book
 from retuner.adaptive.explanations.settings_by_book import BookNumbers
-from retuner.adaptive.guard import Proof
+from retuner.adaptive.guard.ruling import Proof
 from retuner.adaptive.identification.estimate import LogModel, ModelEstimate
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import ANEW, Agreement, Learned

@@ -8,7 +8,7 @@ import numpy as np
 
 from retuner.adaptive.decision_numbers import Basis
 from retuner.adaptive.diagnosis.cause import Cause
-from retuner.adaptive.guard import Proof
+from retuner.adaptive.guard.ruling import Proof
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.identification.robust_simc import believed
 from retuner.adaptive.region_model.update import Agreement, Learned

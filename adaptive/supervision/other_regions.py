@@ -16,7 +16,8 @@ from dataclasses import replace
 
 from retuner.adaptive.decision_numbers import Basis
 from retuner.adaptive.fit.structure import SLOPE, model_at
-from retuner.adaptive.guard import Proof, prove
+from retuner.adaptive.guard.proof import prove
+from retuner.adaptive.guard.ruling import Proof
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.region_model.from_neighbours import borrowed
 from retuner.adaptive.region_model.region_curves import centre_of, lenders

@@ -20,7 +20,7 @@ import numpy as np
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.explanations.book import Book
 from retuner.adaptive.explanations.settings_by_book import lets_go
-from retuner.adaptive.guard import SAME_GAINS, change_factor
+from retuner.adaptive.guard.step_size import SAME_GAINS, change_factor
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import predicted
 from retuner.adaptive.signals.recogniser import RecogniserState

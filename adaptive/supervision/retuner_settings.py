@@ -8,7 +8,8 @@ from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.oscillation_online import SwingSettings
 from retuner.adaptive.diagnosis.swing_checks import LimitSwingSettings
 from retuner.adaptive.explanations.settings_by_book import BookSettings
-from retuner.adaptive.guard import NO_LOCKS, GuardSettings, Locks
+from retuner.adaptive.guard.guard_settings import GuardSettings
+from retuner.adaptive.guard.request import NO_LOCKS, Locks
 from retuner.adaptive.identification.identify import FitSettings
 from retuner.adaptive.identification.robust_simc import RobustSettings
 from retuner.adaptive.identification.structure_choice import ON_LINE

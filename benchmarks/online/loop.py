@@ -10,7 +10,7 @@ from typing import Protocol
 from cases.loop import FAR, Sensor, Valve
 
 from retuner import Action, Decision, GainTable, Lookup, LoopMode, LoopSample, Mode, PidGains, Retuner, RetunerSettings
-from retuner.adaptive.guard import GuardSettings
+from retuner.adaptive.guard.guard_settings import GuardSettings
 from retuner.schedule.pid import LIMITED, PidState, change, law, start, step
 from retuner.schedule.regions import Regions, RegionState, choose, enter
 

@@ -33,7 +33,7 @@ from online.judge import Judge, effect
 from online.loop import FixedGains, LostLoop, Supervisor, WatchedLoop, Watching, settings
 from online.runner import Task
 from retuner import GainTable, Lookup, PidGains, Regions
-from retuner.adaptive.guard import GuardSettings
+from retuner.adaptive.guard.guard_settings import GuardSettings
 
 Row = dict[str, Any]
 WHO = ("fixed", "retuner", "perfect")

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from retuner import Action, Decision, Mode, PidController, PidGains, RetunerSettings
-from retuner.adaptive.guard import GuardSettings
+from retuner.adaptive.guard.guard_settings import GuardSettings
 
 INSTALL = "pip install tclab tep-studio bsm2-python gym-electric-motor jsbsim jax && pip install --no-deps pcgym"
 """Brings all plants. pc-gym only gives its equations; what its reinforcement learning needs stays away."""

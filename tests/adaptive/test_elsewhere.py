@@ -13,7 +13,7 @@ from loop_bench import made, scaled
 
 from retuner import GainTable, Lookup, PidGains, Regions, RetunerSettings
 from retuner.adaptive.diagnosis.second_opinion import Excitation
-from retuner.adaptive.guard import GuardSettings
+from retuner.adaptive.guard.guard_settings import GuardSettings
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.region_model.from_neighbours import BorrowingSettings, spread

@@ -22,8 +22,8 @@ from retuner.adaptive.choice.expected_cost import (
     outlooks,
     over,
 )
-from retuner.adaptive.guard import prove
 from retuner.adaptive.guard.guard_settings import GuardSettings
+from retuner.adaptive.guard.proof import prove
 from retuner.adaptive.guard.request import ChangeRequest, Evidence, Locks
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak

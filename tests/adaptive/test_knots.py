@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from retuner import GainTable, Lookup, PidGains, ProcessModel, ProcessType, Regions, RetunerSettings
 from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.fit.structure import parameters_of
-from retuner.adaptive.guard import NeighbourBorder, prove
 from retuner.adaptive.guard.both_sides_of_boundary import between_models, eased
+from retuner.adaptive.guard.proof import prove
+from retuner.adaptive.guard.request import NeighbourBorder
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak

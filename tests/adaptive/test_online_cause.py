@@ -26,7 +26,7 @@ from retuner.adaptive.diagnosis.second_opinion import (
 )
 from retuner.adaptive.diagnosis.swing_checks import LimitSwingSettings, at_own_crossover, touches_limits
 from retuner.adaptive.diagnosis.tuning_verdict import RecordVerdict
-from retuner.adaptive.guard import Ruling
+from retuner.adaptive.guard.ruling import Ruling
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.identify import FitSettings
 from retuner.adaptive.region_model.update import Agreement, TrackerSettings, update_region_model

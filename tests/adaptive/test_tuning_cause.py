@@ -9,7 +9,7 @@ import pytest
 from retuner import PidGains, ProcessModel, ProcessType
 from retuner.adaptive.diagnosis.cause import Cause, CauseSettings, Diagnosis, over_words, tuning_cause
 from retuner.adaptive.diagnosis.tuning_verdict import weighed
-from retuner.adaptive.guard import GuardSettings
+from retuner.adaptive.guard.guard_settings import GuardSettings
 from retuner.adaptive.identification.identify import identify_window
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.identification.robust_simc import RobustSettings, by_integral, robust_simc

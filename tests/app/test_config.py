@@ -13,7 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from retuner import Lookup, PidGains
-from retuner.adaptive.guard import KC_ONLY, NO_DERIVATIVE, GuardSettings
+from retuner.adaptive.guard.guard_settings import GuardSettings
+from retuner.adaptive.guard.request import KC_ONLY, NO_DERIVATIVE
 from retuner.config import Config, load_config
 from retuner.config.adaptation import AdaptationConfig, LimitsConfig
 from retuner.config.loading import LARGEST_FILE, ConfigFlaw, UnusableError, parse_config

@@ -15,7 +15,7 @@ import pytest
 from command_line import printed, refused
 
 from retuner import GainTable, Lookup, PidGains
-from retuner.adaptive.guard import change_factor
+from retuner.adaptive.guard.step_size import change_factor
 from retuner.cli import main
 from retuner.config.described import vendor_units
 from retuner.config.loading import load_config, load_session

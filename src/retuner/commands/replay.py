@@ -5,7 +5,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from retuner.adaptive.guard import SAME_GAINS, change_factor
+from retuner.adaptive.guard.step_size import SAME_GAINS, change_factor
 from retuner.adaptive.supervision.decision import Decision, Mode, gains_dict
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.commands.options import FormOptions

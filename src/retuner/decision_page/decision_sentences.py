@@ -2,7 +2,7 @@
 
 import math
 
-from retuner.adaptive.guard import GuardSettings
+from retuner.adaptive.guard.guard_settings import GuardSettings
 from retuner.adaptive.loop.margins import Margins, margins
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.region_model.update import Agreement

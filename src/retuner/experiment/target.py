@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 from retuner.adaptive.experiments.phases import Phase
 from retuner.adaptive.experiments.plan import Experiment, LoopAtRest, Plan, RelayState, relay_output
-from retuner.adaptive.guard import SAME_GAINS, change_factor
+from retuner.adaptive.guard.step_size import SAME_GAINS, change_factor
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.decision_page.shown_units import units_of
 from retuner.drivers.device import Device, WriteRefusedError

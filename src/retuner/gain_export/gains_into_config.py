@@ -12,7 +12,7 @@ from typing import Any
 import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
-from retuner.adaptive.guard import change_factor
+from retuner.adaptive.guard.step_size import change_factor
 from retuner.config import Config
 from retuner.config.described import vendor_units
 from retuner.config.loading import UnusableError, load_session, parse_session

@@ -6,7 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from retuner.adaptive.guard import GuardSettings, Locks, change_factor
+from retuner.adaptive.guard.guard_settings import GuardSettings
+from retuner.adaptive.guard.request import Locks
+from retuner.adaptive.guard.step_size import change_factor
 from retuner.adaptive.supervision.admission import AdmissionSettings
 from retuner.adaptive.supervision.decision import Mode
 from retuner.adaptive.supervision.retuner import Retuner

@@ -11,7 +11,7 @@ the device's `begin_write` (on CAN drivers/host/can_device.py), whose WriteDone 
 
 from enum import Enum, StrEnum
 
-from retuner.adaptive.guard import SAME_GAINS, change_factor
+from retuner.adaptive.guard.step_size import SAME_GAINS, change_factor
 from retuner.adaptive.supervision.decision import Action, Decision, gains_dict
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.phase import TrialEvent, TrialPhase

@@ -11,7 +11,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from retuner.adaptive.guard import SAME_GAINS, change_factor
+from retuner.adaptive.guard.step_size import SAME_GAINS, change_factor
 from retuner.adaptive.setpoint_bumps.bump_settings import BumpSettings
 from retuner.adaptive.setpoint_bumps.loop_bumps import LoopBumps, hour_of_samples
 from retuner.adaptive.supervision.decision import Mode

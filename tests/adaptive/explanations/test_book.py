@@ -35,7 +35,7 @@ from retuner.adaptive.explanations.likely_processes import harmless
 from retuner.adaptive.explanations.process_grid import DEAD_TIMES, EVERY_LAG, GAINS, ProcessShape, shapes
 from retuner.adaptive.explanations.settings_by_book import BookSettings, by_book, gain, lets_go
 from retuner.adaptive.explanations.wandering_load import ORDERS
-from retuner.adaptive.guard import GuardSettings
+from retuner.adaptive.guard.guard_settings import GuardSettings
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.region_model.update import Agreement

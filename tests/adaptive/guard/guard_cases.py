@@ -4,7 +4,9 @@ import numpy as np
 
 from retuner import PidGains, ProcessModel, ProcessType
 from retuner.adaptive.fit.structure import parameters_of
-from retuner.adaptive.guard import ChangeRequest, GuardSettings, allowed
+from retuner.adaptive.guard.guard_settings import GuardSettings
+from retuner.adaptive.guard.model_set import allowed
+from retuner.adaptive.guard.request import ChangeRequest
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.rules.rule import Tuning

@@ -10,8 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from retuner import Axis, GainTable, Lookup, PidGains, ProcessModel, ProcessType, Regions
-from retuner.adaptive.guard import GuardSettings, NeighbourBorder, Ruling, borders_of, prove
-from retuner.adaptive.guard.both_sides_of_boundary import at_border, between_models
+from retuner.adaptive.guard.both_sides_of_boundary import at_border, between_models, borders_of
+from retuner.adaptive.guard.guard_settings import GuardSettings
+from retuner.adaptive.guard.proof import prove
+from retuner.adaptive.guard.request import NeighbourBorder
+from retuner.adaptive.guard.ruling import Ruling
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.rules.rule import Tuning

@@ -8,7 +8,10 @@ from guard_cases import BEST, GAINS, MODEL, times
 
 from retuner import GainTable, Regions, RetunerSettings
 from retuner.adaptive.fit.structure import parameters_of
-from retuner.adaptive.guard import KC_ONLY, NO_DERIVATIVE, NO_LOCKS, GuardSettings, Ruling, prove
+from retuner.adaptive.guard.guard_settings import GuardSettings
+from retuner.adaptive.guard.proof import prove
+from retuner.adaptive.guard.request import KC_ONLY, NO_DERIVATIVE, NO_LOCKS
+from retuner.adaptive.guard.ruling import Ruling
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.region_model.region_model import RegionModel, StructureModel

@@ -8,10 +8,12 @@ from guard_cases import GAINS, SAMPLED, SETTINGS, known, request, times
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retuner.adaptive.guard import KC_ONLY, NO_DERIVATIVE, NO_LOCKS, ChangeRequest, GuardSettings, Locks, Ruling, prove
 from retuner.adaptive.guard.checks import Check, limit_checks
 from retuner.adaptive.guard.goal_within_limits import Goal, calmer, goals, without_short_derivative
-from retuner.adaptive.guard.proof import STEPS, slower_settings
+from retuner.adaptive.guard.guard_settings import GuardSettings
+from retuner.adaptive.guard.proof import STEPS, prove, slower_settings
+from retuner.adaptive.guard.request import KC_ONLY, NO_DERIVATIVE, NO_LOCKS, ChangeRequest, Locks
+from retuner.adaptive.guard.ruling import Ruling
 from retuner.adaptive.guard.step_size import extent, less_of_everything
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.process.model import ProcessModel, ProcessType

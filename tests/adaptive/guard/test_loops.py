@@ -8,7 +8,7 @@ from guard_cases import GAINS, MODEL, times
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retuner.adaptive.guard.proof import Loops
+from retuner.adaptive.guard.proof import MsOnModels
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import LinearProcess
 
@@ -16,19 +16,19 @@ PLAIN = MODEL.linear()
 
 
 def test_the_same_is_not_safer() -> None:
-    assert not Loops([PLAIN]).safer(GAINS, GAINS, GAINS)
+    assert not MsOnModels([PLAIN]).safer(GAINS, GAINS, GAINS)
 
 
 def test_a_model_that_cannot_tell_does_not_hold_it_up() -> None:
     """Ms is 1 before and after on a process that hardly answers; the worst of all models is another one."""
     frozen = LinearProcess(1e-9, (1.0,))
-    assert Loops([PLAIN, frozen]).safer(times(1.2, 1.2), GAINS, GAINS)
+    assert MsOnModels([PLAIN, frozen]).safer(times(1.2, 1.2), GAINS, GAINS)
 
 
 def test_unstable_before_and_after_less_of_everything_is_safer() -> None:
     wild, less = times(40.0, 40.0), times(20.0, 20.0)
     far = times(30.0, 30.0)
-    loops = Loops([PLAIN])
+    loops = MsOnModels([PLAIN])
     assert math.isinf(loops.nominal(less))
     assert loops.safer(wild, less, far)
     assert not loops.safer(less, wild, far)
@@ -45,7 +45,7 @@ FACTOR = st.floats(0.05, 20)
 def test_safer_means_what_it_says(a: tuple[float, float], b: tuple[float, float], k: float, theta: float) -> None:
     models = [PLAIN, replace(MODEL, k=2.0 * k, theta_s=5.0 * theta).linear()]
     old, new = times(*a), times(*b)
-    loops = Loops(models)
+    loops = MsOnModels(models)
     if not loops.safer(old, new, GAINS):
         return
     before, after = ([sensitivity_peak(m, g) for m in models] for g in (old, new))
@@ -61,4 +61,4 @@ def test_safer_means_what_it_says(a: tuple[float, float], b: tuple[float, float]
 def test_every_step_from_a_hot_loop_towards_its_settings_is_safer(factor: float, share: float) -> None:
     old = times(factor, factor)
     new = times(factor ** (1 - share), factor ** (1 - share))
-    assert Loops([PLAIN]).safer(old, new, GAINS)
+    assert MsOnModels([PLAIN]).safer(old, new, GAINS)

@@ -7,8 +7,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retuner.adaptive.guard import GuardSettings, change_factor, within_limits
-from retuner.adaptive.guard.step_size import Parameter, extent, less_of_everything, logs, step_limit
+from retuner.adaptive.guard.guard_settings import GuardSettings
+from retuner.adaptive.guard.step_size import (
+    Parameter,
+    change_factor,
+    extent,
+    less_of_everything,
+    logs,
+    step_limit,
+    within_limits,
+)
 from retuner.schedule.gains import PidGains
 
 SETTINGS = GuardSettings()

@@ -13,20 +13,12 @@ from hypothesis import strategies as st
 
 from retuner import PidGains, ProcessModel, ProcessType
 from retuner.adaptive.fit.structure import parameters_of
-from retuner.adaptive.guard import (
-    ChangeRequest,
-    Evidence,
-    GuardSettings,
-    Locks,
-    NeighbourBorder,
-    Proof,
-    Ruling,
-    Support,
-    allowed,
-    change_factor,
-    prove,
-)
-from retuner.adaptive.guard.model_set import MOST_LOG_STEP
+from retuner.adaptive.guard.guard_settings import GuardSettings
+from retuner.adaptive.guard.model_set import MOST_LOG_STEP, allowed
+from retuner.adaptive.guard.proof import prove
+from retuner.adaptive.guard.request import ChangeRequest, Evidence, Locks, NeighbourBorder, Support
+from retuner.adaptive.guard.ruling import Proof, Ruling
+from retuner.adaptive.guard.step_size import change_factor
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak

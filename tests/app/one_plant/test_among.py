@@ -9,8 +9,8 @@ from wood_berry import BLT, DT_S, records
 
 from retuner import LoopSample, PidController, PidGains
 from retuner.adaptive.decision_numbers import Basis
-from retuner.adaptive.guard import GuardSettings, Proof
-from retuner.adaptive.guard.ruling import Ruling
+from retuner.adaptive.guard.guard_settings import GuardSettings
+from retuner.adaptive.guard.ruling import Proof, Ruling
 from retuner.adaptive.interaction.together import Closed
 from retuner.adaptive.supervision import decide
 from retuner.adaptive.supervision.decision import Outcome
