@@ -71,7 +71,9 @@ class ResponseRecord:
     @cached_property
     def crossed(self) -> bool:
         """Whether the response came from another region: by its gains, or, along the setpoint, by its pv."""
-        if self.entered_s > self.response.t_start_s:
+        start_s, own = self.response.t_start_s, self.own
+        came_with_it = self.samples[0].t_s < self.entered_s == start_s  # its own setpoint step took the loop here
+        if self.entered_s > start_s or (came_with_it and own[0].revision != own[-1].revision):
             return True
         regions = self.table.regions
         if not self.response.sp_changed or all(axis.variable != "sp" for axis in regions.axes):

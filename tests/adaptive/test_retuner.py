@@ -131,6 +131,15 @@ def test_a_response_that_crosses_a_border_teaches_both_sides() -> None:
     assert found.action == Action.NONE
 
 
+def test_a_setpoint_step_that_takes_the_loop_over_a_border_teaches_where_the_gains_arrive_two_samples_later() -> None:
+    bench = made(scaled(0.25, 0.25))
+    bench.run(400)
+    samples = enumerate(bench.samples(600, 1.0, 0.0, 75.0))
+    (found,) = filter(None, (bench.retuner.observe(one._replace(revision=int(i >= 2))) for i, one in samples))
+    assert (found.region, found.agreement) == ("b", Agreement.FIRST)
+    assert bench.retuner.region_models[1].log.model().k == pytest.approx(1.0, rel=0.3)
+
+
 def test_a_gap_or_manual_mode_begins_anew() -> None:
     bench = made(scaled(0.25, 0.25))
     bench.run(400)
