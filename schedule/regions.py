@@ -3,11 +3,11 @@
 One axis makes a row of regions from low to high. Two axes (temperature and load, say) make a map of cells, one region
 a cell, counted row by row: region = i n_2 + j, i along the first axis and j along the second, both from 0. Each axis
 chooses its place by itself (filter, hysteresis, minimum stay), and the region is where both stand; when the
-value of one is not finite, the other goes on. Regions are neighbours when they share a border; those that meet only in
-a corner are not.
+value of one is not finite, the other goes on. Regions are neighbours when they share a boundary; those that meet only
+in a corner are not.
 
 `choose` runs at every sample. Its common case, one axis without a filter and x still inside the region's widened
-borders, is one comparison; a law that needs more has floors that no x reaches, so that nobody else pays for it. With
+boundaries, is one comparison; a law that needs more has floors that no x reaches, so that nobody else pays for it. With
 filters the common case is that both filtered values are still inside them: the filters move and nothing else does.
 """
 
@@ -19,14 +19,14 @@ from typing import NamedTuple
 
 from retuner.schedule.late_dataclass import InitVar, dataclass, field
 
-# ---- One axis of an operating map: a scheduling variable, its range and the borders on it, and its place without
+# ---- One axis of an operating map: a scheduling variable, its range and the boundaries on it, and its place without
 # chatter.
 #
-# Borders b_1 < ... < b_(n-1) divide low..high into n parts; a value on a border belongs to the part above it, values
-# outside low..high belong to the end parts. A part is left only when the value has passed a border by more than the
-# hysteresis h and the minimum stay is over; the place is then the part that contains the value, a neighbour or not. So
-# the value must travel 2 h to go out and come back: n changes of place need a travel of at least 2 h (n - 1), and noise
-# of less than 2 h from peak to peak cannot make it chatter.
+# Boundaries b_1 < ... < b_(n-1) divide low..high into n parts; a value on a boundary belongs to the part above it,
+# values outside low..high belong to the end parts. A part is left only when the value has passed a boundary by more
+# than the hysteresis h and the minimum stay is over; the place is then the part that contains the value, a neighbour or
+# not. So the value must travel 2 h to go out and come back: n changes of place need a travel of at least 2 h (n - 1),
+# and noise of less than 2 h from peak to peak cannot make it chatter.
 #
 # A filter may come first: y' = (1 - w) y + w x with w = dt/(filter_s + dt), a first-order lag by backward
 # difference as in the PID law's derivative, stable for every dt. The filtered value chooses the place and
@@ -38,7 +38,7 @@ VARIABLES = ("sp", "pv", "co", CAN)  # Setpoint, process value, controller outpu
 
 @dataclass(frozen=True, slots=True)
 class AxisLaw:
-    """What `place` and `filtered` need: floors[i], ceilings[i] are part i's borders widened by h."""
+    """What `place` and `filtered` need: floors[i], ceilings[i] are part i's boundaries widened by h."""
 
     bounds: tuple[float, ...]
     floors: tuple[float, ...]
@@ -49,16 +49,16 @@ class AxisLaw:
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """One scheduling variable and the parts that borders make of its range.
+    """One scheduling variable and the parts that boundaries make of its range.
 
     Parameters
     ----------
     variable : what the axis is along: "sp", "pv", "co" or "can".
     unit : its unit, for people ("degC", "%").
     low, high : range of the variable; values outside count as the end parts.
-    bounds : the n - 1 borders, increasing strictly, between low and high.
-    hysteresis : how far the value must pass a border before its place changes, in unit, each way; 0 or more and at most
-        half of the narrowest part's width, so that every part can be entered from both sides.
+    bounds : the n - 1 boundaries, increasing strictly, between low and high.
+    hysteresis : how far the value must pass a boundary before its place changes, in unit, each way; 0 or more and at
+        most half of the narrowest part's width, so that every part can be entered from both sides.
     min_stay_s : shortest time in a part, seconds, 0 or more.
     filter_s : time constant of the first-order filter before it all, seconds, 0 (none) or more.
     signal : name of the signal when the variable is "can", for people.
@@ -111,7 +111,7 @@ class Axis:
 
     @property
     def edges(self) -> tuple[float, ...]:
-        """Lower end, borders, upper end."""
+        """Lower end, boundaries, upper end."""
         return (self.low, *self.bounds, self.high)
 
     @property
@@ -125,7 +125,7 @@ class Axis:
         return not self.filter_s and self.variable != CAN
 
     def span(self, part: int) -> tuple[float, float]:
-        """Lower and upper border of a part, in unit; part counts from 0 (the lowest)."""
+        """Lower and upper boundary of a part, in unit; part counts from 0 (the lowest)."""
         edges = self.edges
         return edges[part], edges[part + 1]
 
@@ -166,7 +166,7 @@ def place(law: AxisLaw, part: int, since_s: float, y: float, t_s: float) -> int:
 
 # ---- Operating regions along one or two scheduling variables
 
-__all__ = ["VARIABLES", "Axis", "Border", "RegionLaw", "RegionState", "Regions", "choose", "enter", "values"]
+__all__ = ["VARIABLES", "Axis", "Boundary", "RegionLaw", "RegionState", "Regions", "choose", "enter", "values"]
 
 
 class RegionState(NamedTuple):
@@ -184,8 +184,8 @@ class RegionState(NamedTuple):
     t_s: float = 0.0
 
 
-class Border(NamedTuple):
-    """The border between two neighbours: axis 0 or 1, and where on it, in that axis' unit."""
+class Boundary(NamedTuple):
+    """The boundary between two neighbours: axis 0 or 1, and where on it, in that axis' unit."""
 
     axis: int
     value: float
@@ -212,7 +212,7 @@ OF_AXIS = ("variable", "unit", "low", "bounds", "high", "hysteresis", "min_stay_
 """What regions along one variable have of their axis."""
 _LARGEST = sys.float_info.max
 _NO_AXIS = (math.inf, -_LARGEST, _LARGEST)
-"""What stands for a second axis where there is none: a filter that never moves, and no border."""
+"""What stands for a second axis where there is none: a filter that never moves, and no boundary."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -310,7 +310,7 @@ class Regions:
         return cell[0] if self.second is None else cell[0] * len(self.second) + cell[1]
 
     def span(self, region: int, axis: int = 0) -> tuple[float, float]:
-        """Lower and upper border of a region along an axis (0 or 1), in its unit; errors as `cell`."""
+        """Lower and upper boundary of a region along an axis (0 or 1), in its unit; errors as `cell`."""
         return self.axes[axis].span(self.cell(region)[axis])
 
     def centre(self, region: int, axis: int = 0) -> float:
@@ -322,26 +322,26 @@ class Regions:
         return ", ".join(axis.text(part) for axis, part in zip(self.axes, self.cell(region), strict=True))
 
     def neighbours(self, region: int) -> tuple[int, ...]:
-        """The regions that share a border with this one, in order; errors as `cell`."""
+        """The regions that share a boundary with this one, in order; errors as `cell`."""
         return tuple(other for other in range(len(self)) if self.distance(region, other) == 1)
 
     def distance(self, a: int, b: int) -> int:
-        """The least number of borders on the way from one region to another; errors as `cell`."""
+        """The least number of boundaries on the way from one region to another; errors as `cell`."""
         return sum(abs(i - j) for i, j in zip(self.cell(a), self.cell(b), strict=True))
 
-    def border(self, a: int, b: int) -> Border:
-        """The border between two neighbours.
+    def boundary(self, a: int, b: int) -> Boundary:
+        """The boundary between two neighbours.
 
         Raises
         ------
         ValueError
-            A region does not exist, or they share no border.
+            A region does not exist, or they share no boundary.
         """
         if self.distance(a, b) != 1:
             raise ValueError(f"regions {self.names[a]!r} and {self.names[b]!r} share no boundary")
         one, two = self.cell(a), self.cell(b)
         axis = 0 if one[0] != two[0] else 1
-        return Border(axis, self.axes[axis].bounds[min(one[axis], two[axis])])
+        return Boundary(axis, self.axes[axis].bounds[min(one[axis], two[axis])])
 
 
 def _sides(law: AxisLaw, part: int) -> tuple[float, float, float]:
@@ -401,7 +401,7 @@ _new = tuple.__new__  # half the time of a NamedTuple's own constructor
 
 
 def _place_anew(law: RegionLaw, state: RegionState, x: float, x2: float, t_s: float) -> RegionState:
-    """The place axis by axis: a border is passed, a value is not known, or no time has gone by."""
+    """The place axis by axis: a boundary is passed, a value is not known, or no time has gone by."""
     region, since_s, since2_s, y, y2, last_s = state
     dt_s = t_s - last_s
     i, j = divmod(region, law.columns)

@@ -360,7 +360,7 @@ def _doubt(verdict: Diagnosis, loop: JudgedLoop, oscillates: bool) -> Doubt | No
 def _tone_doubt(loop: JudgedLoop, evidence: Mapping[str, float], explained: bool) -> Doubt | None:
     """The doubt where a tone explains a record as well or better than load steps.
 
-    A second fit without a tone dispels it where the tone is not the likelier one: it would be as near its border.
+    A second fit without a tone dispels it where the tone is not the likelier one: it would be as near its boundary.
     """
     settings, lead = loop.settings, evidence.get("external_lead", -math.inf) + by_coincidence(evidence)
     as_good = settings.tone_as_good if evidence.get("setpoint_steps", 0.0) else settings.tone_as_good_loads
@@ -382,12 +382,12 @@ def _tone_doubt(loop: JudgedLoop, evidence: Mapping[str, float], explained: bool
 
 
 def by_coincidence(evidence: Mapping[str, float]) -> float:
-    """What it costs that a loop stands so near its border, as a criterion: 2 ln Ms; nothing where a setpoint step shows
-    the process, or the loop is past its border.
+    """What it costs that a loop stands so near its boundary, as a criterion: 2 ln Ms; nothing where a setpoint step
+    shows the process, or the loop is past its boundary.
 
     A swing that neither grows nor decays is explained by any process that all but swings. Loops are met at any distance
-    from their border, in |1 - gm| about evenly, so one comes within 1/Ms of it with a probability like that. A tone has
-    a height of its own whatever the loop.
+    from their boundary, in |1 - gm| about evenly, so one comes within 1/Ms of it with a probability like that. A tone
+    has a height of its own whatever the loop.
     """
     ms = evidence.get("ms", 1.0)
     return 2.0 * math.log(ms) if math.isfinite(ms) and not evidence.get("setpoint_steps") else 0.0

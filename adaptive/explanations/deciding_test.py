@@ -9,7 +9,7 @@ A valve that may stay behind co is told by steps of co in manual: D is then betw
 Processes are drawn from the odds (settings_by_odds.py). D/2 is the mean of the log-likelihood ratio of two of them
 under the load and noise that the record has shown (A/C and s, wandering_load.py), T the temper of a setpoint's doing,
 and the ratio is normal with variance D. The test decides where the odds come out at nine to one or more. No test tells
-a process at the border of its class from its neighbour: such a one counts as often as it is likely, and no more.
+a process at the boundary of its class from its neighbour: such a one counts as often as it is likely, and no more.
 """
 
 import math

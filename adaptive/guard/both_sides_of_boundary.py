@@ -1,11 +1,11 @@
-"""Both sides of a region's border: new gains meet a process that is no longer their own.
+"""Both sides of a region's boundary: new gains meet a process that is no longer their own.
 
 At a weight w of the neighbour (0 at the own centre, 1 at its centre) the process is taken between the two, in the
 parameters of the fits (structure.py):
 
     k', theta, c2, 1/T  each  a^(1-w) b^w     (a (1-w) + b w where one of them is 0: no second lag, no lag)
 
-- hard lookup: the new gains run alone up to the border plus its hysteresis, the reach.
+- hard lookup: the new gains run alone up to the boundary plus its hysteresis, the reach.
 - interpolated lookup: the gains are (1-w) new + w neighbour's, between the two centres.
 
 On a map of two axes the cells that meet in a corner are asked as well, along the diagonal between their centres: inside
@@ -20,7 +20,7 @@ from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
 
-from retuner.adaptive.guard.request import DiagonalNeighbour, NeighbourBorder
+from retuner.adaptive.guard.request import DiagonalNeighbour, NeighbourBoundary
 from retuner.adaptive.guard.step_size import less_of_everything
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
@@ -29,15 +29,17 @@ from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GAIN_NAMES, GainTable, Lookup
 
 SHARES_HARD = (1.0, 0.5)
-"""Weights at which a hard border is proved, in shares of the reach: the farthest first, then half way."""
+"""Weights at which a hard boundary is proved, in shares of the reach: the farthest first, then half way."""
 SHARES_MIXED = (0.5, 0.25, 0.75, 0.9)
 """Weights at which an interpolation is proved: Ms along a mean of two sets has no narrow peaks; it rises to an end."""
 SHARES_UNKNOWN = (0.5, 0.25)
 """Shares where nothing is known of the neighbour: the own process stands for it up to half way."""
 
 
-def borders_of(table: GainTable, region: int, models: Mapping[int, Sequence[Plausible]]) -> tuple[NeighbourBorder, ...]:
-    """What the table says of a region's borders. models : what is known of the regions, by index; may lack some."""
+def boundaries_of(
+    table: GainTable, region: int, models: Mapping[int, Sequence[Plausible]]
+) -> tuple[NeighbourBoundary, ...]:
+    """What the table says of a region's boundaries. models : what is known of the regions, by index; may lack some."""
     regions, interpolated = table.regions, table.lookup is Lookup.INTERPOLATED
     best = {i: known[0].model for i, known in models.items() if known}
     found = []
@@ -50,8 +52,8 @@ def borders_of(table: GainTable, region: int, models: Mapping[int, Sequence[Plau
             beside = tuple(DiagonalNeighbour(table.gains_of(cell), best.get(cell)) for cell in cells)
             reaches = [1.0 if interpolated else _reach(table, region, other, k) for k, step in enumerate(steps) if step]
             known = table.gains_of(other), tuple(models.get(other, ()))
-            found.append(NeighbourBorder(regions.names[other], *known, max(reaches), interpolated, beside))
-    return tuple(sorted(found, key=lambda border: len(border.beside)))
+            found.append(NeighbourBoundary(regions.names[other], *known, max(reaches), interpolated, beside))
+    return tuple(sorted(found, key=lambda boundary: len(boundary.beside)))
 
 
 def _reach(table: GainTable, region: int, other: int, axis: int) -> float:
@@ -59,12 +61,12 @@ def _reach(table: GainTable, region: int, other: int, axis: int) -> float:
     regions = table.regions
     own, far = regions.centre(region, axis), regions.centre(other, axis)
     low, high = regions.span(region, axis)
-    border = high if far > own else low
-    return min((abs(border - own) + regions.axes[axis].hysteresis) / abs(far - own), 1.0)
+    boundary = high if far > own else low
+    return min((abs(boundary - own) + regions.axes[axis].hysteresis) / abs(far - own), 1.0)
 
 
-def at_border(
-    border: NeighbourBorder,
+def at_boundary(
+    boundary: NeighbourBoundary,
     own: Sequence[Plausible],
     new: PidGains,
     old: PidGains,
@@ -79,12 +81,12 @@ def at_border(
     """
 
     def ms_of(pair: tuple[ProcessModel, ProcessModel], gains: PidGains, share: float) -> float:
-        process = (_between(pair, border, share) or pair[0]).seen_by_controller(sample_time_s).linear()
-        return sensitivity_peak(process, mixed(gains, border, share), filter_s)
+        process = (_between(pair, boundary, share) or pair[0]).seen_by_controller(sample_time_s).linear()
+        return sensitivity_peak(process, mixed(gains, boundary, share), filter_s)
 
     worst, proper = -math.inf, True
-    pairs, mixed_at = _pairs(border, own), SHARES_MIXED if border.models else SHARES_UNKNOWN
-    shares = mixed_at if border.interpolated else tuple(border.reach * share for share in SHARES_HARD)
+    pairs, mixed_at = _pairs(boundary, own), SHARES_MIXED if boundary.models else SHARES_UNKNOWN
+    shares = mixed_at if boundary.interpolated else tuple(boundary.reach * share for share in SHARES_HARD)
     for place, share in enumerate(shares):
         asked = [(ms_of(pair, new, share), pair) for pair in pairs]
         for ms, pair in asked:
@@ -102,22 +104,22 @@ def no_worse(after: float, before: float, old: PidGains, new: PidGains) -> bool:
     return after <= before and (math.isfinite(after) or less_of_everything(old, new))
 
 
-def _pairs(border: NeighbourBorder, own: Sequence[Plausible]) -> list[tuple[ProcessModel, ProcessModel]]:
+def _pairs(boundary: NeighbourBoundary, own: Sequence[Plausible]) -> list[tuple[ProcessModel, ProcessModel]]:
     """Models here and there, the best of both first; the own one twice where nothing is known of the neighbour."""
     if not own:
         return []
-    if not border.models:
-        return [(mine.model, mine.model) for mine in own] if border.interpolated else []
-    here, there = own[0].model, border.models[0].model
-    pairs = [(here, other.model) for other in border.models] + [(mine.model, there) for mine in own[1:]]
+    if not boundary.models:
+        return [(mine.model, mine.model) for mine in own] if boundary.interpolated else []
+    here, there = own[0].model, boundary.models[0].model
+    pairs = [(here, other.model) for other in boundary.models] + [(mine.model, there) for mine in own[1:]]
     return [pair for pair in pairs if between_models(*pair, 0.5) is not None]
 
 
-def _between(pair: tuple[ProcessModel, ProcessModel], border: NeighbourBorder, share: float) -> ProcessModel | None:
-    if border.beside:
+def _between(pair: tuple[ProcessModel, ProcessModel], boundary: NeighbourBoundary, share: float) -> ProcessModel | None:
+    if boundary.beside:
         # The process inside a square of four cells, on its diagonal; between the two corners where a side is unknown
         here, there = pair
-        one, two = (cell.model for cell in border.beside)
+        one, two = (cell.model for cell in boundary.beside)
         if one is not None and two is not None:
             sides = between_models(here, one, share), between_models(two, there, share)
             if sides[0] is not None and sides[1] is not None:
@@ -126,20 +128,20 @@ def _between(pair: tuple[ProcessModel, ProcessModel], border: NeighbourBorder, s
     return between_models(*pair, share)
 
 
-def likeliest_between(border: NeighbourBorder, own: ProcessModel, share: float) -> ProcessModel:
+def likeliest_between(boundary: NeighbourBoundary, own: ProcessModel, share: float) -> ProcessModel:
     """The process at a weight of the neighbour by the best models of both; the own one where nothing is known there."""
-    there = border.models[0].model if border.models else own
-    return _between((own, there), border, share) or own
+    there = boundary.models[0].model if boundary.models else own
+    return _between((own, there), boundary, share) or own
 
 
-def mixed(gains: PidGains, border: NeighbourBorder, share: float) -> PidGains:
+def mixed(gains: PidGains, boundary: NeighbourBoundary, share: float) -> PidGains:
     """The gains in force at a weight of the neighbour."""
-    if not border.interpolated:
+    if not boundary.interpolated:
         return gains
-    shares = [(gains, 1 - share), (border.gains, share)]
-    if border.beside:
-        shares = [(gains, (1 - share) ** 2), (border.gains, share**2)]
-        shares += [(cell.gains, share * (1 - share)) for cell in border.beside]
+    shares = [(gains, 1 - share), (boundary.gains, share)]
+    if boundary.beside:
+        shares = [(gains, (1 - share) ** 2), (boundary.gains, share**2)]
+        shares += [(cell.gains, share * (1 - share)) for cell in boundary.beside]
     return PidGains(*(sum(w * getattr(one, name) for one, w in shares) for name in GAIN_NAMES))
 
 
@@ -184,13 +186,13 @@ def _mean(a: float, b: float, share: float) -> float:
 # What runs at the far places of a region, where the process is no longer its own.
 #
 # Between the knots of an interpolated table that is the mean of two sets, on a process between two. In a table of
-# steps it is the region's own set up to its border. The records of a region show its middle, so nobody would ask
+# steps it is the region's own set up to its boundary. The records of a region show its middle, so nobody would ask
 # there.
 #
 # Where the process gain is r times as large at the next knot it is sqrt(r) times as large half way, and the mean of
 # two gains that suit their knots is (1 + 1/r)/2 of the first. Their product exceeds that at the knots by (sqrt(r) +
 # 1/sqrt(r))/2: 6 % for r = 2, 25 % for r = 4. So sets that suit both knots may be too much between them, and a region
-# answers for its own half of every way to a neighbour. Up to a border of a table of steps it is sqrt(r) whole.
+# answers for its own half of every way to a neighbour. Up to a boundary of a table of steps it is sqrt(r) whole.
 
 
 OWN_HALF = (0.25, 0.5)  # weights of the neighbour at the places that a region answers for
@@ -206,24 +208,31 @@ class PlaceBetween(NamedTuple):
 
 
 def worst_between(
-    borders: Sequence[NeighbourBorder], own: ProcessModel, gains: PidGains, sample_time_s: float, filter_s: float = 0.0
+    boundaries: Sequence[NeighbourBoundary],
+    own: ProcessModel,
+    gains: PidGains,
+    sample_time_s: float,
+    filter_s: float = 0.0,
 ) -> PlaceBetween | None:
-    """The worst place by the best models; None where nothing is known beyond any border.
+    """The worst place by the best models; None where nothing is known beyond any boundary.
 
-    borders : of the region. own : its process at its knot. gains : its set. filter_s : filter time of the derivative.
+    boundaries : of the region. own : its process at its knot. gains : its set. filter_s : filter time of the
+    derivative.
     """
     asked = []
-    for border in borders:
-        shares = OWN_HALF if border.interpolated else (border.reach,) if border.models else ()
+    for boundary in boundaries:
+        shares = OWN_HALF if boundary.interpolated else (boundary.reach,) if boundary.models else ()
         for share in shares:
-            process = likeliest_between(border, own, share).seen_by_controller(sample_time_s).linear()
-            asked.append(PlaceBetween(sensitivity_peak(process, mixed(gains, border, share), filter_s), border.name))
+            process = likeliest_between(boundary, own, share).seen_by_controller(sample_time_s).linear()
+            asked.append(
+                PlaceBetween(sensitivity_peak(process, mixed(gains, boundary, share), filter_s), boundary.name)
+            )
     return max(asked, default=None)
 
 
 def eased(
     wanted: PidGains,
-    borders: Sequence[NeighbourBorder],
+    boundaries: Sequence[NeighbourBoundary],
     own: ProcessModel,
     limit: float,
     sample_time_s: float,
@@ -236,7 +245,7 @@ def eased(
     least, easiest = math.inf, wanted
     for share in EASED:
         gains = PidGains(wanted.kp * share, wanted.ki * share, wanted.kd * share)
-        found = worst_between(borders, own, gains, sample_time_s, filter_s)
+        found = worst_between(boundaries, own, gains, sample_time_s, filter_s)
         if found is None or found.ms <= limit:
             return gains
         if found.ms <= least:

@@ -11,7 +11,7 @@ from dataclasses import replace
 from retuner.adaptive.decision_numbers import Numbers
 from retuner.adaptive.guard.guard_settings import GuardSettings
 from retuner.adaptive.guard.request import ChangeRequest
-from retuner.adaptive.guard.ruling import BorderNumbers, Check, LimitNumbers, NotRobustNumbers, text
+from retuner.adaptive.guard.ruling import BoundaryNumbers, Check, LimitNumbers, NotRobustNumbers, text
 from retuner.adaptive.guard.step_size import MORE_WHEN_LARGER, Parameter, logs, step_limit
 from retuner.schedule.gains import PidGains
 
@@ -146,7 +146,7 @@ def failed_checks(numbers: Numbers) -> Iterator[Check]:
             yield Check(*asked, nominal, limit, nominal <= limit)
             asked = "ms_worst", "worst-case Ms, at the smallest step"
             yield Check(*asked, worst, worst_limit, worst <= worst_limit)
-        case BorderNumbers(ms, limit):
+        case BoundaryNumbers(ms, limit):
             yield Check("ms_border", "Ms at the boundary to a neighbouring region", ms, limit, False)
         case LimitNumbers(wanted, limit):
             yield Check("limit", "requested value and its limit", wanted, limit, False)

@@ -2,7 +2,7 @@
 
     direction, numbers -> evidence -> locks, limits, commissioned set, sampling -> size of the step
                        -> Ms on the process <= ms_nominal, Ms on every model that the records allow <= ms_worst
-                       -> the same on both sides of every border of the region, and between the knots of a mean
+                       -> the same on both sides of every boundary of the region, and between the knots of a mean
 
 The remedies come in this order: a larger tau_c (to tau_c_max_ratio theta), a half step, a quarter step, refusal. Steps
 are taken in the logarithms, so that a half step lies between old and new in every form. A loop that is itself over a
@@ -17,13 +17,13 @@ import math
 from collections.abc import Iterator, Sequence
 
 from retuner.adaptive.decision_numbers import NO_NUMBERS, Numbers
-from retuner.adaptive.guard.both_sides_of_boundary import at_border, no_worse
+from retuner.adaptive.guard.both_sides_of_boundary import at_boundary, no_worse
 from retuner.adaptive.guard.checks import evidence_checks, failed_checks, limit_checks, robustness_checks
 from retuner.adaptive.guard.goal_within_limits import Goal, calmer, goals, nothing_left, without_short_derivative
 from retuner.adaptive.guard.guard_settings import GuardSettings
-from retuner.adaptive.guard.request import ChangeRequest, NeighbourBorder, Support
+from retuner.adaptive.guard.request import ChangeRequest, NeighbourBoundary, Support
 from retuner.adaptive.guard.ruling import (
-    BorderNumbers,
+    BoundaryNumbers,
     Check,
     DoubtNumbers,
     FactorNumbers,
@@ -130,7 +130,7 @@ class _Case:
     request: ChangeRequest
     settings: GuardSettings
     on_models: MsOnModels
-    at_border: Check | None = None
+    at_boundary: Check | None = None
     outside: Check | None = None
     asked: dict[tuple[str, PidGains], tuple[float, bool]] = field(default_factory=dict)
     over: bool = field(init=False)
@@ -147,15 +147,15 @@ class _Case:
 
     def most_between(self, gains: PidGains) -> float:
         """Largest Ms between the knots of an interpolated table with these gains; 0 where nothing is known to ask."""
-        asked = [self.at(border, gains)[0] for border in self.request.borders if border.interpolated]
+        asked = [self.at(boundary, gains)[0] for boundary in self.request.boundaries if boundary.interpolated]
         return max((ms for ms in asked if not math.isnan(ms)), default=0.0)
 
-    def at(self, border: NeighbourBorder, gains: PidGains) -> tuple[float, bool]:
-        """Ms at a border, and whether it is proved there; asked once."""
-        key, (limit, asked) = (border.name, gains), (self.settings.ms_border, self.request)
+    def at(self, boundary: NeighbourBoundary, gains: PidGains) -> tuple[float, bool]:
+        """Ms at a boundary, and whether it is proved there; asked once."""
+        key, (limit, asked) = (boundary.name, gains), (self.settings.ms_border, self.request)
         if key not in self.asked:
             loop = asked.sample_time_s, asked.filter_s
-            self.asked[key] = at_border(border, asked.models, gains, asked.in_force, limit, *loop)
+            self.asked[key] = at_boundary(boundary, asked.models, gains, asked.in_force, limit, *loop)
         return self.asked[key]
 
     @property
@@ -310,24 +310,24 @@ def _best(case: _Case, tried: list[Goal], doubted: bool) -> Proof | None:
             if candidate.whole:
                 return _refused(case, Ruling.TOO_SMALL, FactorNumbers(factor, s.smallest_change))
             continue
-        if on_models.within(candidate.gains, s.ms_nominal, s.ms_worst) and _borders_hold(case, candidate.gains):
+        if on_models.within(candidate.gains, s.ms_nominal, s.ms_worst) and _boundaries_hold(case, candidate.gains):
             return _accepted(case, candidate, Ruling.URGENT if candidate.beyond else Ruling.ACCEPTED)
     if not case.over:
         return None
     by_safety = sorted(tried, key=lambda c: (not c.beyond, not c.whole, -c.tau_c_s, -c.share))
     for candidate in by_safety:
         gains = candidate.gains
-        if on_models.safer(old, gains, candidate.aim or gains) and _borders_hold(case, gains):
+        if on_models.safer(old, gains, candidate.aim or gains) and _boundaries_hold(case, gains):
             return _accepted(case, candidate, Ruling.SAFER)
     return None
 
 
-def _borders_hold(case: _Case, gains: PidGains) -> bool:
-    """Whether every border is proved, and what was too much between knots is less; remembers the first that is not."""
-    for border in case.request.borders:
-        check = _border_check(case, border, gains)
+def _boundaries_hold(case: _Case, gains: PidGains) -> bool:
+    """Whether all boundaries are proved, and what was too much between knots is less; keeps the first that is not."""
+    for boundary in case.request.boundaries:
+        check = _boundary_check(case, boundary, gains)
         if check is not None and not check.passed:
-            case.at_border = case.at_border or check
+            case.at_boundary = case.at_boundary or check
             return False
     limit = case.settings.ms_border
     if case.between <= limit:
@@ -335,9 +335,9 @@ def _borders_hold(case: _Case, gains: PidGains) -> bool:
     return no_worse(case.most_between(gains), max(limit, case.between * CALMED), case.request.in_force, gains)
 
 
-def _border_check(case: _Case, border: NeighbourBorder, gains: PidGains) -> Check | None:
-    ms, passed = case.at(border, gains)
-    words = f"Ms at the boundary to region {border.name} (or no worse than before)"
+def _boundary_check(case: _Case, boundary: NeighbourBoundary, gains: PidGains) -> Check | None:
+    ms, passed = case.at(boundary, gains)
+    words = f"Ms at the boundary to region {boundary.name} (or no worse than before)"
     return None if math.isnan(ms) else Check("ms_border", words, ms, case.settings.ms_border, passed)
 
 
@@ -347,8 +347,8 @@ def _why_not(case: _Case, tried: list[Goal]) -> tuple[Ruling, Numbers]:
     if not tried:
         return _outside(case)
     gains = tried[-1].gains
-    if case.at_border is not None and case.on_models.within(gains, s.ms_nominal, s.ms_worst):
-        return Ruling.NOT_ROBUST_AT_BORDER, BorderNumbers(case.at_border.value, case.at_border.limit)
+    if case.at_boundary is not None and case.on_models.within(gains, s.ms_nominal, s.ms_worst):
+        return Ruling.NOT_ROBUST_AT_BORDER, BoundaryNumbers(case.at_boundary.value, case.at_boundary.limit)
     return _not_robust(case, gains)
 
 
@@ -393,12 +393,12 @@ def _accepted(case: _Case, candidate: Goal, ruling: Ruling) -> Proof:
     before, before_worst = on_models.nominal(request.in_force), on_models.worst(request.in_force)
     told = before_worst if ruling == Ruling.SAFER else None
     numbers = ProofNumbers(nominal, worst, before, float(len(on_models)), told)
-    borders = (_border_check(case, border, gains) for border in request.borders)
+    boundaries = (_boundary_check(case, boundary, gains) for boundary in request.boundaries)
     checks = (
         *evidence_checks(request, s, less=less_of_everything(request.in_force, gains)),
         *limit_checks(request, gains, s, over_limit=case.over, urgent=candidate.beyond),
         *robustness_checks((nominal, worst), (before, before_worst), s),
-        *(check for check in borders if check is not None),
+        *(check for check in boundaries if check is not None),
     )
     urgent = case.urgent and _safe_direction(case, gains, candidate.aim or gains)
     step = _share(request.in_force, gains, candidate)

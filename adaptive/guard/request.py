@@ -83,7 +83,7 @@ class DiagonalNeighbour(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class NeighbourBorder:
+class NeighbourBoundary:
     """A neighbouring region, as far as the changed gains reach into it.
 
     name : of the neighbour. gains : its set. models : of its process, best first, empty where not known.
@@ -130,7 +130,7 @@ class ChangeRequest:
     models: Sequence[Plausible]
     sample_time_s: float
     evidence: Evidence = Evidence()
-    borders: Sequence[NeighbourBorder] = ()
+    boundaries: Sequence[NeighbourBoundary] = ()
     slower: Sequence[Tuning] = ()
     filter_s: float = 0.0
     urgent: bool = False

@@ -99,7 +99,7 @@ class DoubtNumbers(Numbers):
 
 
 @dataclass(frozen=True, slots=True)
-class BorderNumbers(Numbers):
+class BoundaryNumbers(Numbers):
     """Ms of the gentlest step towards a neighbouring region, and its limit."""
 
     ms_tried: float

@@ -1,7 +1,7 @@
-"""A record cut at borders of a signal, and a model for each region that it passes through.
+"""A record cut at boundaries of a signal, and a model for each region that it passes through.
 
 A level whose gain rises with the level, a heat exchanger over its flow: one model for the whole record is wrong
-everywhere. What lies within two borders without a break is a stretch. The stretches of a region are joined, not
+everywhere. What lies within two boundaries without a break is a stretch. The stretches of a region are joined, not
 averaged: each is fitted with what the others have shown as its prior (the iterated extended Kalman update, Bell &
 Cathey 1993), the one in which co and pv move most first.
 """
@@ -22,12 +22,12 @@ from retuner.schedule.late_dataclass import dataclass
 FEWEST_SAMPLES = 40  # A shorter stretch shows no dynamics beside its start and its noise
 STANDS = 10  # samples in a row at one end of pv's range that are no measurement
 MOVES_ELSEWHERE = 0.5  # share of samples that repeat the one before, from which pv is coarse
-CROSSED = 3.0  # A border is crossed when the signal is beyond it by so many standard deviations of its noise
+CROSSED = 3.0  # A boundary is crossed when the signal is beyond it by so many standard deviations of its noise
 
 
 @dataclass(frozen=True, slots=True)
 class RegionRecord:
-    """What a record holds of one region. low, high : its borders, infinite at the ends. stretches : of the record."""
+    """What a record holds of one region. low, high : its boundaries, infinite at the ends. stretches : its rows."""
 
     low: float
     high: float
@@ -35,17 +35,17 @@ class RegionRecord:
 
 
 def by_region(window: Window, by: FloatArray, bounds: Sequence[float]) -> tuple[RegionRecord, ...]:
-    """The record cut at borders, the lowest region first.
+    """The record cut at boundaries, the lowest region first.
 
-    window : the record. by : the signal that the borders are of, shape (n,). bounds : the borders, increasing.
+    window : the record. by : the signal that the boundaries are of, shape (n,). bounds : the boundaries, increasing.
 
-    Raises ValueError: no border, one that is not finite, or they do not increase.
+    Raises ValueError: no boundary, one that is not finite, or they do not increase.
     """
     edges = np.asarray(bounds, dtype=np.float64)
     if not len(edges) or not np.all(np.isfinite(edges)) or np.any(np.diff(edges) <= 0):
         raise ValueError(f"boundaries {', '.join(f'{b:g}' for b in bounds) or 'none'}: give finite ones that increase")
     margin, now = CROSSED * noise_sigma(by), int(np.searchsorted(edges, by[0], side="right"))
-    at: list[int] = []  # the region of every sample; noise at a border changes none
+    at: list[int] = []  # the region of every sample; noise at a boundary changes none
     for value in by.tolist():
         above = int(np.searchsorted(edges, value - margin, side="right"))
         below = int(np.searchsorted(edges, value + margin, side="right"))

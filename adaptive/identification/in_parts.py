@@ -62,14 +62,14 @@ def parts_of(window: Window, most_samples: int) -> list[Window]:
     """A record in parts that begin just before its setpoint moves, neither too short nor too long nor too many."""
     n = len(window.t_s)
     shortest = max(SHORTEST, -(-n // MOST_PARTS))
-    borders = [0]
+    boundaries = [0]
     for change_s in setpoint_changes(window):
         at = int(np.searchsorted(window.t_s - window.t_s[0], change_s)) - LEAD
-        if at - borders[-1] >= shortest and n - at >= shortest:
-            borders.append(at)
-    borders.append(n)
+        if at - boundaries[-1] >= shortest and n - at >= shortest:
+            boundaries.append(at)
+    boundaries.append(n)
     found = []
-    for first, end in pairwise(borders):
+    for first, end in pairwise(boundaries):
         count = -(-(end - first) // most_samples)
         edges = np.linspace(first, end, count + 1).round().astype(int).tolist()
         found += [window.part(slice(a, b)) for a, b in pairwise(edges)]

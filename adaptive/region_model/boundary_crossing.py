@@ -1,4 +1,4 @@
-"""A response that crossed a border teaches both sides, and whatever lay on its way.
+"""A response that crossed a boundary teaches both sides, and whatever lay on its way.
 
 A linear model of a long step over a process that changes is a fiction: where the gain falls along the way, pv begins
 fast and ends early, and a shorter lag explains it. So the record is fitted in motion, as the schedule's design fits a
@@ -198,7 +198,7 @@ def ways_of(regions: Regions, samples: Sequence[LoopSample]) -> tuple[FloatArray
 
 @dataclass(frozen=True, slots=True)
 class Crossing:
-    """A record that crossed borders, and what was known before it.
+    """A record that crossed boundaries, and what was known before it.
 
     ways : where the process was on each axis at the window's samples. start_s : begin of the response in it.
     in_force : gains at its end. regions : the table's. region_models : what is known of each. tracker, fit : settings.

@@ -4,17 +4,18 @@ Both questions are put to what the models ask of their controller, z = (ln |Kc|,
 (`features`): regions exist for the sake of settings.
 
 Split. One region: the records by themselves, z_i at (x_i, t_i), scatter about a common mean, z_i ~ N(m, C_i + s^2 I)
-with the scatter s between records that a region may have. Two: a border between two x, a mean on either side. With
+with the scatter s between records that a region may have. Two: a boundary between two x, a mean on either side. With
 chi2 = sum (z_i - m)' (C_i + s^2 I)^-1 (z_i - m) at the best m, the logarithm of the likelihood ratio is
 (chi2_one - chi2_two)/2, and twice of it is chi-square with two degrees of freedom where there is one process (Wilks
-1938): exceeded with probability alpha at -2 ln(alpha/n), n being the number of borders that were tried (Bonferroni). A
-border is proposed when it passes that, when it leaves no contradiction behind, when it explains better than the same
-split in time (a process that changed is no second region), and when the settings on its two sides differ by enough.
+1938): exceeded with probability alpha at -2 ln(alpha/n), n being the number of boundaries that were tried (Bonferroni).
+A boundary is proposed when it passes that, when it leaves no contradiction behind, when it explains better than the
+same split in time (a process that changed is no second region), and when the settings on its two sides differ by
+enough.
 
 Merge. Neighbours whose settings agree: the means of their records must place the ratio, with its uncertainty, within a
 factor at which nobody would keep two sets. What is not known does not agree. The uncertainty of a mean is widened by
 what its records scatter beyond what they claim, chi2/(2 (n - 1)) where that is more than 1 (Birge 1932). On a map of
-two axes a border runs through all rows or columns, and so does the proposal.
+two axes a boundary runs through all rows or columns, and so does the proposal.
 
 Pure: region models in, advice out; nothing is changed.
 """
@@ -99,9 +100,9 @@ class AdviceSettings:
 class RegionAdvice:
     """One proposal with its evidence.
 
-    regions : names: the one to split, or all that become fewer. axis : label of the axis, with its unit. border : where
-    on it. kc_factor, tau_i_factor : settings above the border over those below it. records : below, above.
-    statistic, limit : twice the logarithm of the likelihood ratio of a border against none, and what it had to pass;
+    regions : names: the one to split, or all that become fewer. axis : label of the axis, with its unit. boundary :
+    where on it. kc_factor, tau_i_factor : settings above the boundary over those below it. records : below, above.
+    statistic, limit : twice the logarithm of the likelihood ratio of a boundary against none, and what it had to pass;
     of a merge the largest factor with its uncertainty, and its limit. against_time : the same against a change in time.
     """
 
@@ -109,7 +110,7 @@ class RegionAdvice:
     regions: tuple[str, ...]
     axis: str
     unit: str
-    border: float
+    boundary: float
     kc_factor: float
     tau_i_factor: float
     records: tuple[int, int]
@@ -121,7 +122,7 @@ class RegionAdvice:
     def sentence(self) -> str:
         """The proposal in a sentence or two."""
         factors = f"Kc x {self.kc_factor:.2f}, tau_I x {self.tau_i_factor:.2f}"
-        where = f"{self.axis} = {self.border:.4g} {self.unit}".rstrip()
+        where = f"{self.axis} = {self.boundary:.4g} {self.unit}".rstrip()
         if self.kind is AdviceKind.MERGE:
             named = " and ".join(self.regions) if len(self.regions) == 2 else ", ".join(self.regions)
             return (
@@ -151,7 +152,7 @@ class RegionAdvice:
 def region_advice(
     regions: Regions, region_models: Mapping[int, RegionModel], sample_time_s: float, settings: AdviceSettings
 ) -> tuple[RegionAdvice, ...]:
-    """All proposals: splits in the order of the regions, then merges in the order of the borders.
+    """All proposals: splits in the order of the regions, then merges in the order of the boundaries.
 
     regions : as they are. region_models : what is known, by region. sample_time_s : of the controller.
     """
@@ -188,7 +189,7 @@ def _side(points: Sequence[_Weighted]) -> _Side:
 class _RecordCut:
     """Records parted at a place on an axis: the best of those that were tried."""
 
-    border: float
+    boundary: float
     below: _Side
     above: _Side
     tried: int
@@ -239,27 +240,27 @@ def _split(
     consistent = cut.left <= chdtri(SIZE * (len(placed) - 2), settings.alpha)
     apart = cut.above.mean - cut.below.mean
     low, high = regions.span(region, k)
-    room = min(cut.border - low, high - cut.border)  # the border leaves room for the hysteresis on both sides
+    room = min(cut.boundary - low, high - cut.boundary)  # the boundary leaves room for the hysteresis on both sides
     differs = float(np.max(np.abs(apart))) >= math.log(settings.split_factor)
     if not (explains and consistent and differs and room > 0 and room >= 2 * regions.axes[k].hysteresis):
         return None
     places, counted = (regions.names[region],), (cut.below.count, cut.above.count)
     numbers = (one - cut.left, limit, against_time)
-    return _advice(AdviceKind.SPLIT, places, regions.axes[k], cut.border, apart, counted, *numbers)
+    return _advice(AdviceKind.SPLIT, places, regions.axes[k], cut.boundary, apart, counted, *numbers)
 
 
 def _advice(
     kind: AdviceKind,
     places: tuple[str, ...],
     axis: Axis,
-    border: float,
+    boundary: float,
     apart: FloatArray,
     counted: tuple[int, int],
     *numbers: float,
 ) -> RegionAdvice:
-    """The advice on one border. apart : difference of the means in logarithms. numbers : what was weighed."""
+    """The advice on one boundary. apart : difference of the means in logarithms. numbers : what was weighed."""
     gain, delay = math.exp(float(apart[0])), math.exp(float(apart[1]))
-    return RegionAdvice(kind, places, axis.label, axis.unit, border, gain, delay, counted, *numbers)
+    return RegionAdvice(kind, places, axis.label, axis.unit, boundary, gain, delay, counted, *numbers)
 
 
 def _merges(
@@ -276,7 +277,7 @@ def _merges(
                 (i, j)
                 for i in range(len(regions))
                 for j in regions.neighbours(i)
-                if i < j and regions.border(i, j).axis == k and regions.cell(i)[k] == n
+                if i < j and regions.boundary(i, j).axis == k and regions.cell(i)[k] == n
             ]
             if not all(i in known and j in known for i, j in pairs):
                 continue

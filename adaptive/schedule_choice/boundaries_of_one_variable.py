@@ -1,7 +1,7 @@
-"""The fewest sets of gains along one variable with which every place meets its limits: where borders or knots lie.
+"""The fewest sets of gains along one variable with which every place meets its limits: where boundaries or knots lie.
 
 Steps: every set serves the places round its own up to where it first fails; the fewest such ranges that cover the whole
-are found from below, each time the one that reaches farthest. Borders stand in the middle of what both sides serve.
+are found from below, each time the one that reaches farthest. Boundaries stand in the middle of what both sides serve.
 Interpolation: knots at places with their own sets, a way from knot to knot is open when every place between meets its
 limits with the mean of both; the fewest knots are the shortest way. The first and last sets hold beyond their knots.
 """
@@ -24,7 +24,7 @@ LEAST_PART = 0.001  # share of the way from the first knot to the last within wh
 class Layout:
     """Sets of gains along the variable.
 
-    lookup : hard or interpolated. edges : lower end, borders, upper end. sets : one for each part between them.
+    lookup : hard or interpolated. edges : lower end, boundaries, upper end. sets : one for each part between them.
     """
 
     lookup: Lookup
@@ -55,8 +55,8 @@ def mean_of(one: PidGains, two: PidGains, share: float) -> PidGains:
     return PidGains(a * one.kp + b * two.kp, a * one.ki + b * two.ki, a * one.kd + b * two.kd)
 
 
-def borders_of_fewest_sets(places: Sequence[Place], limits: DesignLimits, most: int) -> Layout | None:
-    """The fewest sets with borders; None when `most` do not suffice."""
+def boundaries_of_fewest_sets(places: Sequence[Place], limits: DesignLimits, most: int) -> Layout | None:
+    """The fewest sets with boundaries; None when `most` do not suffice."""
     reaches = [
         (*_reach(places, i, gains, limits), gains)
         for i, place in enumerate(places)
@@ -71,7 +71,7 @@ def borders_of_fewest_sets(places: Sequence[Place], limits: DesignLimits, most: 
             return None
         chosen.append(max(fitting, key=lambda reach: (reach[1], -reach[0])))
         covered = chosen[-1][1]
-    # borders in the middle of what neighbours share
+    # boundaries in the middle of what neighbours share
     bounds = []
     for (_, last, _), (first, _, _) in pairwise(chosen):
         low, high = places[min(first, last)].x, places[last].x

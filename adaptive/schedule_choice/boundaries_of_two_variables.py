@@ -1,8 +1,9 @@
 """The fewest sets of gains over two variables: cells of a table with steps, or knots of one that is interpolated.
 
-Steps: borders across each variable, one set a cell, that of a place in it which serves the whole cell. Interpolation:
-knots at even distances, each with its place's own set, weights of both variables multiplied (schedule/table.py). Fewer
-sets win. A place that is not known demands nothing; a cell or knot without one takes the set of the nearest.
+Steps: boundaries across each variable, one set a cell, that of a place in it which serves the whole cell.
+Interpolation: knots at even distances, each with its place's own set, weights of both variables multiplied
+(schedule/table.py). Fewer sets win. A place that is not known demands nothing; a cell or knot without one takes the set
+of the nearest.
 """
 
 import math
@@ -26,7 +27,7 @@ KNOTS: tuple[tuple[int, ...], ...] = ((3,), (0, 6), (1, 5), (0, 3, 6), (1, 3, 5)
 class Cells:
     """Sets of gains over two variables, row by row: the second variable counts fastest.
 
-    lookup : hard or interpolated. edges, edges2 : lower end, borders, upper end of each variable.
+    lookup : hard or interpolated. edges, edges2 : lower end, boundaries, upper end of each variable.
     """
 
     lookup: Lookup
@@ -138,7 +139,7 @@ def _stepped(grid: PlaceGrid, most: int) -> Cells | None:
         for cut, cut2 in product(_cuts(rows), _cuts(columns)):
             sets = _sets(grid, cut, cut2, served)
             if sets is not None:
-                return Cells(Lookup.HARD, _borders(grid.edges(0), cut), _borders(grid.edges(1), cut2), sets)
+                return Cells(Lookup.HARD, _boundaries(grid.edges(0), cut), _boundaries(grid.edges(1), cut2), sets)
     return None
 
 
@@ -178,7 +179,7 @@ def _one(grid: PlaceGrid, first: int, end: int, first2: int, end2: int) -> PidGa
     return None
 
 
-def _borders(values: Sequence[float], cut: Sequence[int]) -> tuple[float, ...]:
-    """Ends, and borders in the middle between the places on both sides."""
+def _boundaries(values: Sequence[float], cut: Sequence[int]) -> tuple[float, ...]:
+    """Ends, and boundaries in the middle between the places on both sides."""
     inside = [float(np.mean(values[k - 1 : k + 1])) for k in cut[1:-1]]
     return (values[0], *inside, values[-1])

@@ -12,7 +12,7 @@ from retuner.adaptive.identification.robust_simc import RobustTuning
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.schedule_choice.boundaries_of_one_variable import (
     Layout,
-    borders_of_fewest_sets,
+    boundaries_of_fewest_sets,
     knots_of_fewest_sets,
 )
 from retuner.adaptive.schedule_choice.boundaries_of_two_variables import COUNT, Cells, cells
@@ -327,7 +327,7 @@ def _layout(places: Sequence[Place], limits: DesignLimits, lookup: str) -> Layou
     """The fewest sets; where steps and interpolation need as many, the one with the smaller J in the mean."""
     if places[0].x2 is not None:
         return cells(places, limits, lookup, MOST_SETS)
-    options = [] if lookup == Lookup.INTERPOLATED else [borders_of_fewest_sets(places, limits, MOST_SETS)]
+    options = [] if lookup == Lookup.INTERPOLATED else [boundaries_of_fewest_sets(places, limits, MOST_SETS)]
     if lookup != Lookup.HARD:
         options.append(knots_of_fewest_sets(places, limits, MOST_SETS))
     able = [layout for layout in options if layout is not None]

@@ -12,7 +12,9 @@ from retuner.adaptive.supervision.decision import Decision, Mode
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.phase import TrialPhase
 
-BUMPS_TO_BORDER = 2.0  # bumps between the setpoint and a border of the region or the end of pv's range: it overshoots
+BUMPS_TO_BOUNDARY = (
+    2.0  # bumps between the setpoint and a boundary of the region or the end of pv's range: it overshoots
+)
 ONCE = 1  # records after which a region has shown its process only once: a second one is to agree
 WRITES = frozenset({Mode.TRIAL, Mode.AUTO})  # modes in which retuner may write by itself, so a setpoint as well
 TO_THE_SETPOINT = frozenset({"sp", "pv"})  # scheduling variables that a bump moves
@@ -93,4 +95,4 @@ class LoopBumps:
             if axis.variable in TO_THE_SETPOINT:
                 edges = (low, *axis.bounds, high)
                 low, high = max(low, edges[part]), min(high, edges[part + 1])
-        return low + (BUMPS_TO_BORDER - 1) * size, high - (BUMPS_TO_BORDER - 1) * size
+        return low + (BUMPS_TO_BOUNDARY - 1) * size, high - (BUMPS_TO_BOUNDARY - 1) * size

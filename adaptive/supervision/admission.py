@@ -189,7 +189,7 @@ class Admission:
 
 
 def inside_region(regions: Regions, region: int) -> Callable[[LoopSample], bool]:
-    """A test whether a sample lies in a region: between its borders widened by their hysteresis.
+    """A test whether a sample lies in a region: between its boundaries widened by their hysteresis.
 
     A scheduling variable that is not finite (a failed sensor) leaves the loop where it is, so it counts as inside.
 
@@ -301,7 +301,7 @@ def _of_loop(
 
     own : samples of the response itself; during : their places in the window.
     """
-    # It stayed inside, where it is not taken as one that crossed a border (region_model/boundary_crossing.py)
+    # It stayed inside, where it is not taken as one that crossed a boundary (region_model/boundary_crossing.py)
     outside = sum(inside is not None and not inside(sample) for sample in own) / len(own)
     yield _at_most(settings.outside_share, AdmissionNumbers(outside_share=outside), outside, Ground.LEFT_REGION)
     # One controller all the time, as the controller itself reports it

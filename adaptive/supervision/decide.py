@@ -197,7 +197,7 @@ def choosable(record: ResponseRecord, known: KnownProcesses, gains: PidGains) ->
     if len(known.table.regions) == 1:
         return Choosable(runs)
     process = known.likeliest(region).model()
-    worst = worst_between(known.borders(region), process, gains, settings.sample_time_s, settings.filter_s)
+    worst = worst_between(known.boundaries(region), process, gains, settings.sample_time_s, settings.filter_s)
     return Choosable(runs, worst.ms / settings.guard.ms_border if worst is not None else 0.0)
 
 

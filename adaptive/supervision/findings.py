@@ -381,8 +381,8 @@ def wanted_of(record: ResponseRecord, model: RegionModel, settings: RetunerSetti
 def unambiguous(found: Findings, learned: Learned) -> bool:
     """Whether the response is the loop's own doing beyond doubt.
 
-    One that crossed a border is where it is a setpoint step that the process in motion explains by itself. One that is
-    seen through a valve is not.
+    One that crossed a boundary is where it is a setpoint step that the process in motion explains by itself. One that
+    is seen through a valve is not.
     """
     record, loads = found.record, len(learned.estimate.load_times_s)
     if learned.valve is not None:
@@ -494,7 +494,7 @@ def too_bold(allowed: Sequence[Plausible], in_force: PidGains, after: PidGains, 
 
 
 BEYOND = 1.05
-"""Times the limit of a cause above which a set is one at a border: the neighbour's model moves with its records."""
+"""Times the limit of a cause above which a set is one at a boundary: the neighbour's model moves with its records."""
 BETWEEN = "ms_between"  # evidence that a set is over its limit on the way to a neighbour: the Ms there
 
 
@@ -508,15 +508,15 @@ def tuning_of(known: KnownProcesses, region: int, in_force: PidGains) -> RobustP
     dt_s, guard, model = settings.sample_time_s, settings.guard, known.where_gains_run[region]
     log, own = known.likeliest(region), in_force if hard else known.table.gains_of(region)
     found, process = propose(model, log, own, settings), log.model()
-    borders = known.borders(region)
+    boundaries = known.boundaries(region)
     limit, high = guard.ms_nominal, settings.cause.ms_high * (BEYOND if hard else 1.0)
-    easier = eased(found.tuning.gains, borders, process, limit, dt_s, settings.filter_s)
+    easier = eased(found.tuning.gains, boundaries, process, limit, dt_s, settings.filter_s)
     if easier == found.tuning.gains:
         return found
     given = (process.seen_by_controller(dt_s), own, easier, log.gain_uncertainty(dt_s), settings.cause)
     told = tuning_cause(*given, with_second_lag(model.plausible, dt_s))
     found = replace(found, tuning=replace(found.tuning, gains=easier), diagnosis=told)
-    worst = worst_between(borders, process, own, dt_s, settings.filter_s)
+    worst = worst_between(boundaries, process, own, dt_s, settings.filter_s)
     if worst is None or worst.ms <= high or abs(easier.ki) >= abs(own.ki):
         return found
     seen = "the loop is unstable" if math.isinf(worst.ms) else over_words(worst.ms, high)

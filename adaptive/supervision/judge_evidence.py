@@ -96,7 +96,7 @@ def posterior_of(
     case: ResponseRecord, learned: Learned | None, trial: Trial, settings: RetunerSettings
 ) -> PosteriorCheck | None:
     """What the record of a trial says of both sets; None where it shows nothing of the process, or leaves more than
-    noise unexplained. A response that crossed a border speaks by all that is known of the region it agrees with.
+    noise unexplained. A response that crossed a boundary speaks by all that is known of the region it agrees with.
     """
     if learned is None or trial.old is None or not learned.estimate.plausible:
         return None

@@ -8,9 +8,9 @@ from functools import cached_property, partial
 
 from retuner.adaptive.explanations.book import ODD, Book
 from retuner.adaptive.explanations.settings_by_book import spread
-from retuner.adaptive.guard.both_sides_of_boundary import borders_of, likeliest_between, mixed
+from retuner.adaptive.guard.both_sides_of_boundary import boundaries_of, likeliest_between, mixed
 from retuner.adaptive.guard.model_set import allowed
-from retuner.adaptive.guard.request import ChangeRequest, Evidence, NeighbourBorder, Support
+from retuner.adaptive.guard.request import ChangeRequest, Evidence, NeighbourBoundary, Support
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
@@ -61,8 +61,8 @@ class KnownProcesses:
     def allowed(self) -> Mapping[int, tuple[Plausible, ...]]:
         """The models that are still allowed there, by region.
 
-        A step ends at its border: of what is only lent beyond it, the likeliest model is asked. A mean of two sets runs
-        all the way, and is asked of all.
+        A step ends at its boundary: of what is only lent beyond it, the likeliest model is asked. A mean of two sets
+        runs all the way, and is asked of all.
         """
         found = {}
         for region, model in self.where_gains_run.items():
@@ -71,9 +71,9 @@ class KnownProcesses:
             found[region] = among[: 1 if only_lent else None]
         return found
 
-    def borders(self, region: int) -> tuple[NeighbourBorder, ...]:
+    def boundaries(self, region: int) -> tuple[NeighbourBoundary, ...]:
         """The ways from a region to its neighbours."""
-        return borders_of(self.table, region, {i: models for i, models in self.allowed.items() if i != region})
+        return boundaries_of(self.table, region, {i: models for i, models in self.allowed.items() if i != region})
 
     def likeliest(self, region: int) -> LogModel:
         """The likeliest process of a region where its gains run, as it may be met now."""
@@ -111,10 +111,10 @@ def known_of(known: KnownProcesses, region: int, book: Book | None = None) -> St
     best = known.allowed[region][0].model
     halves = [
         (
-            likeliest_between(border, best, HALF).seen_by_controller(settings.sample_time_s).linear(),
-            partial(mixed, border=border, share=HALF),
+            likeliest_between(boundary, best, HALF).seen_by_controller(settings.sample_time_s).linear(),
+            partial(mixed, boundary=boundary, share=HALF),
         )
-        for border in known.borders(region)
+        for boundary in known.boundaries(region)
     ]
     return StillAllowed(alone, settings.filter_s, tuple(halves), likely)
 
@@ -169,8 +169,8 @@ def on_models(
     asked: ChangeRequest, known: KnownProcesses, region: int, models: Sequence[Plausible], evidence: Evidence
 ) -> ChangeRequest:
     """The question with the models that it is put to, and the ways to the neighbours."""
-    borders, filter_s = known.borders(region), known.settings.filter_s
-    return replace(asked, models=models, evidence=evidence, borders=borders, filter_s=filter_s)
+    boundaries, filter_s = known.boundaries(region), known.settings.filter_s
+    return replace(asked, models=models, evidence=evidence, boundaries=boundaries, filter_s=filter_s)
 
 
 def unproved_request(

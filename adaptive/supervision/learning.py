@@ -1,6 +1,6 @@
 """What the record of a response teaches of its region's process, with what is known of it, or of its neighbours.
 
-A response by itself, one that crossed a border, or setpoint steps to and fro. The fit is region_model/update.py's.
+A response by itself, one that crossed a boundary, or setpoint steps to and fro. The fit is region_model/update.py's.
 """
 
 from collections.abc import Mapping

@@ -141,20 +141,20 @@ def demanded(settings: RetunerSettings) -> RetunerSettings:
     """One demand of robustness: settings whose every Ms limit follows from the guard's two, which a person sets.
 
         limit = default x nominal / 1.75     of what is asked of the process as it is known: cause, rule, choice, book
-        limit = default x worst / 2.1        of what is asked of all that is plausible: rule, border, trial
+        limit = default x worst / 2.1        of what is asked of all that is plausible: rule, boundary, trial
 
-    The defaults were made for the guard's own; there nothing changes. A border's limit that was set by itself stays.
+    The defaults were made for the guard's own; there nothing changes. A boundary's limit that was set by itself stays.
     """
     usual, guard = GuardSettings(), settings.guard
     nominal, worst = guard.ms_nominal / usual.ms_nominal, guard.ms_worst / usual.ms_worst
     if nominal == worst == 1.0:
         return settings
     cause, robust, book = settings.cause, settings.robust, settings.book
-    border = guard.ms_worst if guard.ms_border == usual.ms_border else guard.ms_border
+    boundary = guard.ms_worst if guard.ms_border == usual.ms_border else guard.ms_border
     high = nominal * settings.diagnosis.cause.ms_high
     return replace(
         settings,
-        guard=replace(guard, ms_border=border),
+        guard=replace(guard, ms_border=boundary),
         cause=replace(cause, ms_high=nominal * cause.ms_high),
         diagnosis=replace(settings.diagnosis, cause=replace(settings.diagnosis.cause, ms_high=high)),
         robust=replace(

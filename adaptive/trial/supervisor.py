@@ -213,7 +213,7 @@ class TrialSupervisor:
         """One sample while a trial is undecided: the regions where it was decided what is to run, with the cause.
 
         region : where the loop is now. elapsed_s : since the last sample; more than gap_s is a gap. blended : the
-        table interpolates, so a region's set takes part beyond its borders.
+        table interpolates, so a region's set takes part beyond its boundaries.
         """
         # what concerns every trial of the loop, if anything
         cause = E.MANUAL if sample.mode != LoopMode.AUTO else E.GAP if elapsed_s > gap_s else None

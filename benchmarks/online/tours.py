@@ -10,11 +10,11 @@ own       the gains of the demo (oven only)
 
 Counted are responses, and those of them that taught; regions whose set is in spec on the process linearised at their
 centre from their first, second, third, fourth visit on, of those that were visited so often. Some have no such set
-that the guard may let through: SIMC with perfect knowledge of their centre has Ms over 2.1 at their own border, and is
-too slow for the centre where it is eased to 2.1. Those that have are counted apart, and the places in them. Then places
-in spec and IAE (noise aside) from the second third on, beside a table of SIMC with perfect knowledge of each centre;
-changes that made Ms too large, or a region unstable, at its centre; the largest Ms of what runs at any of PROBES places
-in the end, beside that of the perfect table.
+that the guard may let through: SIMC with perfect knowledge of their centre has Ms over 2.1 at their own boundary, and
+is too slow for the centre where it is eased to 2.1. Those that have are counted apart, and the places in them. Then
+places in spec and IAE (noise aside) from the second third on, beside a table of SIMC with perfect knowledge of each
+centre; changes that made Ms too large, or a region unstable, at its centre; the largest Ms of what runs at any of
+PROBES places in the end, beside that of the perfect table.
 """
 
 import math

@@ -6,8 +6,8 @@ checksum and length is compared. decode() gives a frame or a Refused for any byt
 
 Layout: cantools reads the DBC once. This file does the same arithmetic on the same bits (tests compare them bit for
 bit) from what was prepared then; benchmarks/costs.py has the ratio. Signals that a C struct can hold
-(unscaled, 8, 16 or 32 bits, float32, on byte borders) are read and written by one, the others bit by bit. It takes what
-retuner.dbc needs: little-endian signals, whole numbers with a linear scale, float32.
+(unscaled, 8, 16 or 32 bits, float32, on byte boundaries) are read and written by one, the others bit by bit. It takes
+what retuner.dbc needs: little-endian signals, whole numbers with a linear scale, float32.
 """
 
 import logging

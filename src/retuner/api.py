@@ -251,9 +251,10 @@ def identify_record(
 
 @dataclass(frozen=True, slots=True)
 class RegionIdentification:
-    """What a record says of the process between two borders of a signal.
+    """What a record says of the process between two boundaries of a signal.
 
-    low, high : the borders, infinite at the ends. samples : of the record there, in stretches long enough to be fitted.
+    low, high : the boundaries, infinite at the ends. samples : of the record there, in stretches long enough to be
+    fitted.
     found : None where none of them moves.
     """
 
@@ -283,10 +284,10 @@ def identify_by_region(
 ) -> tuple[RegionIdentification, ...]:
     """A process for each region that a record passes through, the lowest first (identification/by_region.py).
 
-    window : the record. by : the signal with the borders, shape (n,): pv for a level whose gain rises with the level.
-    bounds : the borders, increasing. The others : see identify.
+    window : the record. by : the signal with the boundaries, shape (n,): pv for a level whose gain rises with the
+    level. bounds : the boundaries, increasing. The others : see identify.
 
-    Raises ValueError: the borders are none, or see identify.
+    Raises ValueError: the boundaries are none, or see identify.
     """
     window, found = within(window, co_min, co_max), []
     sign = None if open_loop and gains is None else _sign_of(window, gains, co_min, co_max)

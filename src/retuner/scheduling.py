@@ -34,7 +34,7 @@ from retuner.schedule.table import GainTable, Lookup
 AUTO = "auto"
 SCHEMA = 1  # Version of the JSON document
 NOTHING: Mapping[str, Sequence[Numbers]] = MappingProxyType({})
-DIGITS = 5  # Significant digits of gains, borders and times in the table: a person reads them
+DIGITS = 5  # Significant digits of gains, boundaries and times in the table: a person reads them
 
 
 @dataclass(frozen=True, slots=True)

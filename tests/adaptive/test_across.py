@@ -1,4 +1,4 @@
-"""A response that crosses a border is fitted in motion, and teaches the regions on its way what it shows of them."""
+"""A response that crosses a boundary is fitted in motion, and teaches the regions on its way what it shows of them."""
 
 import math
 from dataclasses import replace

@@ -139,7 +139,7 @@ def test_gains_that_follow_an_interpolated_table_may_be_allowed() -> None:
     assert judged(samples, AdmissionSettings(changes_most=100)).admitted
 
 
-def test_a_region_ends_at_its_borders_widened_by_the_hysteresis() -> None:
+def test_a_region_ends_at_its_boundaries_widened_by_the_hysteresis() -> None:
     regions = Regions("pv", "-", ("low", "middle", "high"), 0.0, (10.0, 20.0), 30.0, 2.0)
     sample = swing()[0]
     for region, inside, outside in ((0, (-50, 0, 12), (12.1,)), (1, (8, 15, 22), (7.9, 22.1)), (2, (18, 99), (17.9,))):

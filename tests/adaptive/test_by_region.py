@@ -13,17 +13,17 @@ from retuner.api import identify_by_region
 from retuner.cli import main
 from retuner.schedule.gains import PidGains
 
-LOW, HIGH, BORDER = 0.01, 0.03, 50.0  # Slope gains below and above the border, per second
+LOW, HIGH, BOUNDARY = 0.01, 0.03, 50.0  # Slope gains below and above the boundary, per second
 
 
 def level(noise: float = 0.05) -> Window:
-    """PI on a tank that is three times as narrow above the border, two setpoint steps on either side of it."""
+    """PI on a tank that is three times as narrow above the boundary, two setpoint steps on either side of it."""
     sp, h, past = np.repeat([30.0, 34.0, 30.0, 70.0, 74.0, 70.0], 400), 30.0, [0.0] * 7
 
     def process(u: float, _load: float) -> float:
         nonlocal h
         past.append(u)
-        h += (LOW if h < BORDER else HIGH) * past.pop(0)
+        h += (LOW if h < BOUNDARY else HIGH) * past.pop(0)
         return h
 
     return pi_loop(PidGains(1.5, 0.004), process, sp, noise * np.random.default_rng(4).standard_normal(len(sp)))
@@ -31,28 +31,28 @@ def level(noise: float = 0.05) -> Window:
 
 def test_each_region_has_its_own_gain() -> None:
     window = level()
-    low, high = identify_by_region(window, window.pv, [BORDER])
+    low, high = identify_by_region(window, window.pv, [BOUNDARY])
     for region, gain in ((low, LOW), (high, HIGH)):
         assert region.found.estimate.identifiable, region.found.estimate.reason
         model = region.found.estimate.log.model()
         assert model.slope == pytest.approx(gain, rel=0.05)
         assert model.theta_s == pytest.approx(8.0, rel=0.15)
         assert region.found.settings is not None
-    assert (low.high, high.low) == (BORDER, BORDER)
+    assert (low.high, high.low) == (BOUNDARY, BOUNDARY)
 
 
-def test_every_sample_of_a_long_stretch_lies_in_its_region_and_noise_crosses_no_border() -> None:
+def test_every_sample_of_a_long_stretch_lies_in_its_region_and_noise_crosses_no_boundary() -> None:
     t = np.arange(400.0)
     pv = np.where(t < 200, 10.0, 30.0) + 0.1 * np.random.default_rng(1).standard_normal(400)
     window = Window(t, pv, pv, pv)
     found = by_region(window, pv, [10.0, 20.0])
-    assert [len(r.stretches) for r in found] in ([1, 0, 1], [0, 1, 1])  # 10 lies on the border: on one side of it
+    assert [len(r.stretches) for r in found] in ([1, 0, 1], [0, 1, 1])  # 10 lies on the boundary: on one side of it
     assert sum(len(w.t_s) for r in found for w in r.stretches) == 400
     assert [(r.low, r.high) for r in found] == [(-np.inf, 10.0), (10.0, 20.0), (20.0, np.inf)]
 
 
 @pytest.mark.parametrize("bounds", [[], [1.0, 1.0], [2.0, 1.0], [np.nan]])
-def test_borders_that_are_none_are_refused(bounds: list[float]) -> None:
+def test_boundaries_that_are_none_are_refused(bounds: list[float]) -> None:
     window = level()
     with pytest.raises(ValueError, match="boundaries"):
         by_region(window, window.pv, bounds)
@@ -60,7 +60,7 @@ def test_borders_that_are_none_are_refused(bounds: list[float]) -> None:
 
 def test_a_region_that_nothing_moved_in_has_no_model() -> None:
     window = level()
-    *_, empty = identify_by_region(window, window.pv, [BORDER, 95.0])
+    *_, empty = identify_by_region(window, window.pv, [BOUNDARY, 95.0])
     assert empty.found is None
     assert empty.to_dict()["identifiable"] is False
 

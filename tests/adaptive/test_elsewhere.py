@@ -118,7 +118,7 @@ def test_a_region_whose_own_responses_leave_doubt_waits_for_more_of_these(own, f
     assert others_may_tell(2, {2: known(1.0)}, excitation, {2: foreign}) is told
 
 
-def test_a_set_that_is_too_much_at_its_border_is_eased_though_it_is_right_in_the_middle() -> None:
+def test_a_set_that_is_too_much_at_its_boundary_is_eased_though_it_is_right_in_the_middle() -> None:
     """The neighbour's process was not known when it was tuned; also while it is on trial and the loop is away."""
     models = {0: known(4.0), 1: known(4.0), 2: known(1.0)}
     for about in ({}, {"free": (), "away": (2,)}):
@@ -237,7 +237,7 @@ def test_it_follows_with_the_next_sample_and_is_on_trial_when_the_loop_comes() -
     assert retuner.table.gains_of(0) == scaled(0.25, 0.25)
 
 
-# When a response counts as one that crossed a border: by its gains, or along the setpoint by the way of pv.
+# When a response counts as one that crossed a boundary: by its gains, or along the setpoint by the way of pv.
 
 
 GAINS = PidGains(1.0, 0.05)

@@ -13,7 +13,7 @@ from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.fit.structure import parameters_of
 from retuner.adaptive.guard.both_sides_of_boundary import between_models, eased
 from retuner.adaptive.guard.proof import prove
-from retuner.adaptive.guard.request import NeighbourBorder
+from retuner.adaptive.guard.request import NeighbourBoundary
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
@@ -163,7 +163,7 @@ def test_which_set_is_to_run_is_asked_at_the_knot_and_half_way() -> None:
     assert len(known_of(KnownProcesses(hard, told, 0.0, ASKED), 0).ms(now.gains[0])) == len(asked.ms(now.gains[0])) - 1
 
 
-def test_a_step_is_eased_where_its_border_bears_less() -> None:
+def test_a_step_is_eased_where_its_boundary_bears_less() -> None:
     models = [process(k) for k in (1.0, 9.0, 9.0)]
     told = {i: known(model, x) for i, (model, x) in enumerate(zip(models, KNOTS, strict=True))}
     now = replace(table(*map(best, models)), lookup=Lookup.HARD)
@@ -176,12 +176,12 @@ def test_a_step_is_eased_where_its_border_bears_less() -> None:
     assert middle.diagnosis.cause == Cause.OK
 
 
-def test_beyond_the_border_of_a_step_stands_in_what_the_others_lend() -> None:
+def test_beyond_the_boundary_of_a_step_stands_in_what_the_others_lend() -> None:
     told = {i: known(process(k), KNOTS[i], 0.01) for i, k in ((0, 1.0), (1, 4.0))}
     now = replace(table(*[best(process(4.0))] * 3), lookup=Lookup.HARD)
     (low, high) = change_request(
         Tuning("x", "", now.gains[1]), 1, now, KnownProcesses(now, told, 0.0, ASKED), None
-    ).borders
+    ).boundaries
     assert len(low.models) > 1
     (lent,) = high.models
     assert lent.model.k > 4.4  # the gain that rises goes on, as far as the prior of slopes believes it
@@ -193,6 +193,6 @@ def test_where_no_share_is_within_the_limit_the_one_of_least_ms_is_taken(slope: 
     own = ProcessModel(ProcessType.INTEGRATING, 0.01, theta_s=10.0)
     there = (Plausible(replace(own, k=slope), 0.0),)
     wanted = PidGains(5.0, 5.0 / 80.0)
-    border = NeighbourBorder("next", wanted, there, 1.0, False)
-    found = eased(wanted, [border], own, 1.2, 1.0)
+    boundary = NeighbourBoundary("next", wanted, there, 1.0, False)
+    found = eased(wanted, [boundary], own, 1.2, 1.0)
     assert found.kp == pytest.approx(share * wanted.kp)

@@ -278,7 +278,7 @@ def test_a_load_response_from_rest_to_rest_speaks_against_a_tone_without_being_a
 @pytest.mark.parametrize(
     ("period_s", "amplitude"), [(120.0, 3.0), (320.0, 3.0), (400.0, 1.0), (450.0, 3.0)][:: sized(2, 2, 1)]
 )
-def test_a_large_slow_tone_is_not_the_swing_of_a_loop_that_happens_to_stand_at_its_border(period_s, amplitude):
+def test_a_large_slow_tone_is_not_the_swing_of_a_loop_that_happens_to_stand_at_its_boundary(period_s, amplitude):
     """Any process that all but swings explains it, to the noise; a good loop was slowed down ten times."""
     rig = Rig(GOOD)
     rig.run(60)

@@ -64,11 +64,11 @@ def test_what_the_record_refutes_is_not_put_to_a_second_opinion(ms: float, asked
     [
         (3.0, 0.0, Cause.EXTERNAL, True),  # a loop that decays: a second fit may settle it
         (97.0, 0.0, Cause.EXTERNAL, False),  # one that all but swings, as any tone makes it
-        (math.inf, 0.0, Cause.EXTERNAL, True),  # one past its border grows
+        (math.inf, 0.0, Cause.EXTERNAL, True),  # one past its boundary grows
         (97.0, 1.0, Cause.EXTERNAL, True),  # a setpoint step shows where it stands
     ],
 )
-def test_that_a_loop_stands_at_its_border_is_a_coincidence(ms, setpoint_steps, cause, *, may_be_asked):
+def test_that_a_loop_stands_at_its_boundary_is_a_coincidence(ms, setpoint_steps, cause, *, may_be_asked):
     settings = DiagnosisSettings()
     fit = SimpleNamespace(p=[math.log(2 * math.pi / 10.0)], misfit=SimpleNamespace(record=SimpleNamespace(span_s=40.0)))
     loop: Any = SimpleNamespace(settings=settings, tone=SimpleNamespace(fit=fit))

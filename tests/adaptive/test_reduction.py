@@ -112,7 +112,7 @@ def test_the_rules_for_numerator_time_constants_one_by_one() -> None:
 
 
 @given(lead=st.floats(0.1, 10.0), lag=st.floats(0.1, 10.0), theta=st.sampled_from(["lag", "lead", "fifth"]))
-def test_neighbouring_rules_agree_at_their_borders(lead: float, lag: float, theta: str) -> None:
+def test_neighbouring_rules_agree_at_their_boundaries(lead: float, lag: float, theta: str) -> None:
     assume(abs(lead / lag - 1) > 1e-3)
     at = {"lag": lag, "lead": lead, "fifth": lead / 5}[theta]
     below, above = (set_against(lead, lag, at * f) for f in (1 - 1e-9, 1 + 1e-9))

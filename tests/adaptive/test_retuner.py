@@ -117,7 +117,7 @@ def test_a_quiet_loop_gives_no_decision() -> None:
     assert made(GOOD).run(3000) == []
 
 
-def test_a_response_that_crosses_a_border_teaches_both_sides() -> None:
+def test_a_response_that_crosses_a_boundary_teaches_both_sides() -> None:
     bench = made(scaled(0.25, 0.25))
     bench.run(400)
     (found,) = bench.run(10, sp=1.0, x=40.0) + bench.run(600, sp=1.0, x=75.0)
@@ -131,7 +131,7 @@ def test_a_response_that_crosses_a_border_teaches_both_sides() -> None:
     assert found.action == Action.NONE
 
 
-def test_a_setpoint_step_that_takes_the_loop_over_a_border_teaches_where_the_gains_arrive_two_samples_later() -> None:
+def test_a_setpoint_step_that_takes_the_loop_over_a_boundary_teaches_where_the_gains_arrive_two_samples_later() -> None:
     bench = made(scaled(0.25, 0.25))
     bench.run(400)
     samples = enumerate(bench.samples(600, 1.0, 0.0, 75.0))

@@ -71,12 +71,12 @@ def mixed(rng: random.Random, factor: float, n: int = 10) -> list[RecordPoint]:
     return [point(rng, x, 1000.0 * i, factor if x > 50 else 1.0) for i, x in enumerate(xs)]
 
 
-def test_two_processes_are_told_apart_and_the_border_lies_between_them() -> None:
+def test_two_processes_are_told_apart_and_the_boundary_lies_between_them() -> None:
     for seed in range(20):
         (found,) = advice(mixed(random.Random(seed), 2.5))
         assert found.kind is AdviceKind.SPLIT
         assert found.regions == ("cold",)
-        assert 40.0 < found.border < 60.0
+        assert 40.0 < found.boundary < 60.0
         assert found.kc_factor == pytest.approx(1 / 2.5, rel=0.35)
         assert found.records == (5, 5)
         assert found.statistic > found.limit
@@ -119,7 +119,7 @@ def test_each_condition_can_refuse(change: dict[str, float]) -> None:
     assert advice(points, settings=replace(SETTINGS, **change)) == ()
 
 
-def test_no_room_for_the_hysteresis_no_border() -> None:
+def test_no_room_for_the_hysteresis_no_boundary() -> None:
     points = mixed(random.Random(1), 2.5)
     narrow = Regions.along(("cold", "hot"), replace(HEAT, low=45.0, hysteresis=10.0))
     assert advice(points, narrow) == ()
@@ -148,7 +148,7 @@ def test_on_a_map_the_axis_that_explains_is_found() -> None:
     ]
     (found,) = advice(points, MAP)
     assert (found.axis, found.unit) == ("flow", "%")
-    assert 10.0 < found.border < 30.0
+    assert 10.0 < found.boundary < 30.0
     assert found.sentence.startswith("Region a holds two processes: a boundary at flow = 20 %")
 
 
@@ -182,15 +182,15 @@ def test_neighbours_are_merged_when_they_are_known_to_be_equal(gains, std, recor
     found = region_advice(ROW, known, DT_S, SETTINGS)
     assert [a.kind for a in found] == [AdviceKind.MERGE] * merged
     for one in found:
-        assert (one.regions, one.axis, one.border) == (("cold", "hot"), "sp", 100.0)
+        assert (one.regions, one.axis, one.boundary) == (("cold", "hot"), "sp", 100.0)
         assert 1.0 < one.statistic <= one.limit == SETTINGS.merge_factor
         assert "The boundary at sp = 100 degC may go" in one.sentence
 
 
-def test_on_a_map_a_border_goes_only_where_it_parts_nothing_at_all() -> None:
+def test_on_a_map_a_boundary_goes_only_where_it_parts_nothing_at_all() -> None:
     equal_rows = {0: settled(1.0), 1: settled(2.0), 2: settled(1.0), 3: settled(2.0)}
     (found,) = region_advice(MAP, equal_rows, DT_S, SETTINGS)
-    assert (found.axis, found.border, found.regions) == ("sp", 100.0, ("a", "c", "b", "d"))
+    assert (found.axis, found.boundary, found.regions) == ("sp", 100.0, ("a", "c", "b", "d"))
     assert region_advice(MAP, {**equal_rows, 3: settled(3.0)}, DT_S, SETTINGS) == ()
     assert region_advice(MAP, {i: b for i, b in equal_rows.items() if i != 3}, DT_S, SETTINGS) == ()
 

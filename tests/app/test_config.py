@@ -383,7 +383,7 @@ def test_every_limit_of_robustness_follows_from_the_persons_two(nominal: float, 
     assert (found.cause.ms_high > 1.83) is (nominal > 1.75)
 
 
-def test_a_border_of_ones_own_and_the_usual_limits_stay(tmp_path: Path) -> None:
+def test_a_boundary_of_ones_own_and_the_usual_limits_stay(tmp_path: Path) -> None:
     path = tmp_path / "oven.toml"
     text = OVEN.read_text().replace("[adaptation]\n", "[adaptation]\nms_worst = 2.5\n")
     path.write_text(f"{text}\n[adaptation.limits]\nms_border = 1.9\n")

@@ -49,7 +49,7 @@ TABLES = {
 
 
 def walk(table: GainTable) -> Iterator[tuple[float, float, float]]:
-    """Times and values that pass every border, back and forth; some land on a border or a centre."""
+    """Times and values that pass every boundary, back and forth; some land on a boundary or a centre."""
     draw = random.Random(11)
     axes = table.regions.axes
     xs = [axis.low for axis in axes]

@@ -113,7 +113,7 @@ LAWS = (("", ""), ("tau_d_s = 3.0\n", "b = 0.6\nco_rate_pct_per_s = 0.5\n"), ("t
 @pytest.mark.parametrize("lookup", ["hard", "interpolated"])
 @pytest.mark.parametrize(("derivative", "loop"), LAWS[: sized(2, 2, 3)])
 def test_no_crossing_bumps_on_the_device(lookup: str, derivative: str, loop: str) -> None:
-    """At every swap of gains co is what the old law would have given at this sample, over both kinds of borders."""
+    """At every swap of gains co is what the old law would have given at this sample, over both kinds of boundaries."""
     with bench(config(lookup, derivative, loop), f"map-{lookup}-{len(loop)}") as b:
         swaps, regions, bumps = 0, set(), []
         while not b.session.finished:

@@ -181,7 +181,7 @@ def test_a_run_that_was_stopped_is_compared_with_as_much_of_the_one_with_fixed_g
 
 
 def test_a_load_under_which_the_region_was_only_left_is_no_operating_point() -> None:
-    """Four samples until the border is crossed, in less than the dead time: nothing comes back in them."""
+    """Four samples until the boundary is crossed, in less than the dead time: nothing comes back in them."""
     n, gains = 100, from_form("series", 1.0, 50.0, 0.0)
     columns = {name: np.zeros(n) for name in ("sp", "pv", "region")} | {"t": np.arange(float(n))}
 

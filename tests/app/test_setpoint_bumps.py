@@ -147,7 +147,7 @@ def test_where_nothing_may_be_written_nothing_is_bumped(mode: Mode) -> None:
     wire.close()
 
 
-def test_no_bump_crosses_a_border_of_its_region(wire: Wire) -> None:
+def test_no_bump_crosses_a_boundary_of_its_region(wire: Wire) -> None:
     wire.session.bumps = LoopBumps(SOON, wire.session.retuner)
     wire.device.sp = 57.0
     wire.run(400)

@@ -1,4 +1,4 @@
-"""Regions along two axes and filtered ones: each axis by itself, no chatter, neighbours and borders, unknown values."""
+"""Regions along two axes and filtered ones: each axis by itself, no chatter, neighbours, boundaries, unknown values."""
 
 import math
 from dataclasses import replace
@@ -93,7 +93,7 @@ def test_the_bound_on_changes_is_reached():
 
 
 def test_noise_beyond_the_hysteresis_is_held_by_the_filter():
-    """+-20 round a border with h = 2: without a filter a change a sample, with one of 50 samples none."""
+    """+-20 round a boundary with h = 2: without a filter a change a sample, with one of 50 samples none."""
     noisy = [(80.0 + (20.0 if i % 2 else -20.0), 0.0) for i in range(400)]
     plain = replace(HEAT, min_stay_s=0.0)
     changes = [
@@ -180,26 +180,26 @@ def test_cells_are_counted_row_by_row():
 
 
 @given(some_maps(), st.data())
-def test_neighbours_share_a_border(regions, data):
+def test_neighbours_share_a_boundary(regions, data):
     a = data.draw(st.integers(0, len(regions) - 1))
     for b in range(len(regions)):
         step = [abs(i - j) for i, j in zip(regions.cell(a), regions.cell(b), strict=True)]
         assert regions.distance(a, b) == regions.distance(b, a) == sum(step)
         assert (b in regions.neighbours(a)) == (a in regions.neighbours(b)) == (sorted(step) == [0, 1])
         if b in regions.neighbours(a):
-            axis, value = regions.border(a, b)
+            axis, value = regions.boundary(a, b)
             assert set(regions.span(a, axis)) & set(regions.span(b, axis)) == {value}
             assert regions.span(a, 1 - axis) == regions.span(b, 1 - axis)
         else:
             with pytest.raises(ValueError, match="share no boundary"):
-                regions.border(a, b)
+                regions.boundary(a, b)
 
 
 def test_neighbours_in_a_row():
     row = Regions("pv", "degC", ("cold", "warm", "hot"), 20.0, (80.0, 150.0), 220.0)
 
     assert [row.neighbours(i) for i in range(3)] == [(1,), (0, 2), (1,)]
-    assert row.border(2, 1) == (0, 150.0)
+    assert row.boundary(2, 1) == (0, 150.0)
     assert BOILER.neighbours(2) == (0, 3, 4)
 
 

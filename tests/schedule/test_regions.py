@@ -41,7 +41,7 @@ def walk(regions, xs, dt_s=1.0):
 
 
 @given(some_regions(), st.floats(-2e3, 2e3))
-def test_every_value_has_a_region_and_a_border_belongs_above(regions, x):
+def test_every_value_has_a_region_and_a_boundary_belongs_above(regions, x):
     assert enter(regions.law(), x, 0.0).region == bisect_right(regions.bounds, x)
     for i, bound in enumerate(regions.bounds):
         assert enter(regions.law(), bound, 0.0).region == i + 1

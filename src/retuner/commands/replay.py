@@ -110,8 +110,8 @@ def told(session: RecordedSession, result: ReplayedSession) -> list[str]:
 # replay LOG --config CONFIG: what would have been done on a log from anywhere. Nothing is written anywhere.
 
 IN_FORCE_SAMPLES = 10
-"""Samples after a border within which recorded gains do not count as the new region's: a schedule writes these a few
-samples after the border was crossed."""
+"""Samples after a boundary within which recorded gains do not count as the new region's: a schedule writes these a few
+samples after the boundary was crossed."""
 
 
 @dataclass(slots=True)

@@ -158,7 +158,7 @@ class AxisConfig(Section):
     )
 
     def problems(self) -> Iterator[Problem]:
-        """Borders in order and within the range, and all that belongs to the variable."""
+        """Boundaries in order and within the range, and all that belongs to the variable."""
         for i, (low, high) in enumerate(pairwise(self.bounds), 1):
             if low >= high:
                 yield Problem(("bounds", i), f"= {high:g} must be greater than the bound before it, {low:g}")

@@ -16,7 +16,7 @@ from retuner.templates import rendered
 
 @dataclass(frozen=True, slots=True)
 class AxisNumbers:
-    """One axis: borders, how far each part may be left before it changes, centres, filter and minimum stay."""
+    """One axis: boundaries, how far each part may be left before it changes, centres, filter and minimum stay."""
 
     label: str
     unit: str
@@ -73,7 +73,7 @@ def comment(text: str) -> str:
 
 
 def finite(value: float) -> float:
-    """A border, with the largest single number in place of infinity: no value that a controller has lies beyond it."""
+    """A boundary, with the largest single number in place of infinity: no controller has a value beyond it."""
     return math.copysign(SINGLE_MAX, value) if math.isinf(value) else value
 
 

@@ -942,7 +942,7 @@ def _follows(
     question: Any = SimpleNamespace(record=record, settings=RetunerSettings(1.0, 100.0))
     look = Look(book, recorded(now, 5), grows=True, limited=0.0)
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(by_all_samples.KnownProcesses, "borders", lambda *_: ())
+        patched.setattr(by_all_samples.KnownProcesses, "boundaries", lambda *_: ())
         patched.setattr(by_all_samples, "runaway", lambda *_: None)
         if held:
             limited: Any = SimpleNamespace(accepted=True, gains=scaled(0.26), step=1.0, code="accepted")

@@ -16,7 +16,7 @@ from retuner.adaptive.fit.structure import parameters_of
 from retuner.adaptive.guard.guard_settings import GuardSettings
 from retuner.adaptive.guard.model_set import MOST_LOG_STEP, allowed
 from retuner.adaptive.guard.proof import prove
-from retuner.adaptive.guard.request import ChangeRequest, Evidence, Locks, NeighbourBorder, Support
+from retuner.adaptive.guard.request import ChangeRequest, Evidence, Locks, NeighbourBoundary, Support
 from retuner.adaptive.guard.ruling import Proof, Ruling
 from retuner.adaptive.guard.step_size import change_factor
 from retuner.adaptive.identification.estimate import LogModel
@@ -163,8 +163,8 @@ def test_only_tau_i_moves_where_that_is_all_that_is_free() -> None:
     assert verdict.ms_nominal < verdict.ms_before
 
 
-def neighbour(model: ProcessModel, gains: PidGains = GAINS, interpolated: bool = False) -> NeighbourBorder:
-    return NeighbourBorder("hot", gains, (Plausible(model, 0.0),), 1.0 if interpolated else 0.6, interpolated)
+def neighbour(model: ProcessModel, gains: PidGains = GAINS, interpolated: bool = False) -> NeighbourBoundary:
+    return NeighbourBoundary("hot", gains, (Plausible(model, 0.0),), 1.0 if interpolated else 0.6, interpolated)
 
 
 FASTER = replace(MODEL, k=6.0)
@@ -183,7 +183,7 @@ REACHED: dict[Ruling, tuple[ChangeRequest, GuardSettings]] = {
     ),
     Ruling.TOO_SMALL: (request(times(0.97, 0.98)), SETTINGS),
     Ruling.NOT_ROBUST: (request(times(0.9, 0.5), models=known(0.45)), SETTINGS),
-    Ruling.NOT_ROBUST_AT_BORDER: (replace(request(times(0.8, 0.8)), borders=(neighbour(FASTER),)), SETTINGS),
+    Ruling.NOT_ROBUST_AT_BORDER: (replace(request(times(0.8, 0.8)), boundaries=(neighbour(FASTER),)), SETTINGS),
     Ruling.OUTSIDE_LIMITS: (request(times(0.6, 0.6)), GuardSettings(kc_max=0.5 * GAINS.kp)),
     Ruling.OUTSIDE_TOTAL: (request(times(0.6, 1.0), commissioned=times(0.15, 1.0)), SETTINGS),
     Ruling.LOCKED: (replace(request(times(0.6, 0.6)), locks=Locks(kc=True)), SETTINGS),
@@ -226,7 +226,7 @@ def test_doubtful_evidence_still_lets_a_loop_over_its_limit_have_less() -> None:
 
 
 def test_the_proof_holds_every_question() -> None:
-    asked = {c.name for c in prove(replace(request(times(0.6, 0.6)), borders=(neighbour(MODEL),)), SETTINGS).checks}
+    asked = {c.name for c in prove(replace(request(times(0.6, 0.6)), boundaries=(neighbour(MODEL),)), SETTINGS).checks}
     assert asked >= {
         "records",
         "age",

@@ -30,7 +30,7 @@ def test_every_place_is_served_in_the_way_that_is_asked_for(lookup: str) -> None
     assert cells(places, LIMITS, lookup, len(found.sets) - 1) is None
 
 
-def test_a_variable_that_changes_nothing_needs_no_border() -> None:
+def test_a_variable_that_changes_nothing_needs_no_boundary() -> None:
     found = cells(over(1.0, 2.5), LIMITS, "hard", 16)
     assert len(found.edges) == 2
     assert len(found.edges2) > 2

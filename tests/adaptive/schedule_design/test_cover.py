@@ -14,7 +14,7 @@ from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.schedule_choice import schedule_from_records
 from retuner.adaptive.schedule_choice.boundaries_of_one_variable import (
     Layout,
-    borders_of_fewest_sets,
+    boundaries_of_fewest_sets,
     knots_of_fewest_sets,
     mean_of,
 )
@@ -45,14 +45,14 @@ def kept(places: list[Place], layout: Layout) -> bool:
 
 def test_a_process_that_is_the_same_everywhere_needs_one_set() -> None:
     places = along(1.0)
-    for found in (borders_of_fewest_sets(places, LIMITS, 8), knots_of_fewest_sets(places, LIMITS, 8)):
+    for found in (boundaries_of_fewest_sets(places, LIMITS, 8), knots_of_fewest_sets(places, LIMITS, 8)):
         assert len(found.sets) == 1
         assert found.edges == (0.0, 100.0)
 
 
 @pytest.mark.slow
 @settings(max_examples=examples(15))
-@given(st.floats(1.2, 8.0), st.sampled_from([borders_of_fewest_sets, knots_of_fewest_sets]))
+@given(st.floats(1.2, 8.0), st.sampled_from([boundaries_of_fewest_sets, knots_of_fewest_sets]))
 def test_every_place_is_served_and_no_set_less_would_do(factor: float, cover: object) -> None:
     places = along(factor)
     assert callable(cover)
@@ -73,12 +73,12 @@ def test_knots_lie_in_the_middle_of_their_parts() -> None:
 
 def test_places_that_are_not_known_demand_nothing_and_give_no_set() -> None:
     places = [place(x, 1.0 if x < 50 else 9.0, known=x < 50) for x in range(0, 101, 10)]
-    found = borders_of_fewest_sets(places, LIMITS, 8)
+    found = boundaries_of_fewest_sets(places, LIMITS, 8)
     assert len(found.sets) == 1
 
 
 def test_more_sets_than_allowed_is_no_layout() -> None:
-    assert borders_of_fewest_sets(along(8.0), LIMITS, 2) is None
+    assert boundaries_of_fewest_sets(along(8.0), LIMITS, 2) is None
 
 
 def test_the_mean_of_two_sets_is_theirs_at_the_ends() -> None:
