@@ -240,7 +240,8 @@ def _loop_or_tone_or_valve(
 ) -> RecordVerdict:
     """The linear explanation against its rivals, where they are worth asking.
 
-    Of a record that oscillates no lead is asked: a tone beside one explains what a valve does.
+    For a record that oscillates, structures with a lead are left out: a lead and a tone together explain what a valve
+    does.
     """
     found = [c for c in found if not (seen.oscillates and leads(c.fit.misfit.type))]
     best = found[0]

@@ -36,7 +36,7 @@ class Excitation:
 
     clear : of the setpoint responses, how many were clear (see is_clear). alternative : the same of what last
     contradicted it. rested : how many of the last load responses in a row led from rest to rest
-    (see from_rest_to_rest). lost : of the last responses of any kind in a row, after how many the loop was unstable on
+    (see from_rest_to_rest). lost : how many of the last responses in a row, of any kind, left the loop unstable on
     every plausible model, whichever models these were.
     """
 

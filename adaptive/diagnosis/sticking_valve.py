@@ -1,4 +1,5 @@
-"""Does a valve stick? It is asked in three ways, and against a tone from outside; diagnose.py takes these verdicts.
+"""Does a valve stick? Three tests, each against a tone from outside. diagnose.py asks them; what a user is told weighs
+them against all other causes (cause_odds/odds.py), and on line confirmation.py and by_all_samples.py ask as well.
 
     it swings        the record through a valve of one stick band (valve/valve_fit.py), against the loop by itself and a
                      tone: by information criterion, and by what each leaves

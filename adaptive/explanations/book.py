@@ -89,8 +89,9 @@ answers to the setpoint, without a tone; by answers whatever the load; and witho
 WHOLE = (slice(WEIGHED), *(slice(i, i + 1) for i in range(WEIGHED, PLANES[0])))  # planes whose weights are one together
 ALIKE = (1.0 / len(ORDERS),) * len(ORDERS)  # odds of the orders of load before any record
 BEYOND, MOST_ROOM, MS_OF_ROOM = 1.25, 12.0, 1.7
-"""Loop gains so many times beyond the limit of stability are left out, and processes on which so many times all actions
-keep Ms under this. A loop at work comes from neither: one that does next to nothing has a co that undoes its load, too.
+"""A process is left out if the loop is unstable with 1/BEYOND of the gains in force, or if MOST_ROOM times these gains
+keep Ms under MS_OF_ROOM: no loop at work comes from either, for even one that acts little has a co that undoes its
+load.
 """
 SHARES = (1.0, 0.5, 0.25)  # shares of the gains in force, one of which must hold a process that runs away
 RUNAWAYS = 0.02

@@ -212,9 +212,9 @@ def acts(retuner: Retuner, gains: PidGains) -> Decision | None:
     changed, or before the first sample.
     """
     region, turned = retuner.region, gains.direction != retuner.commissioned.gains[0].direction
-    if region is None or turned == retuner.turned:
+    if region is None or turned == retuner.action_reversed:
         return None
-    retuner.turned = turned
+    retuner.action_reversed = turned
     if not turned:
         return retuner.ordered(region, Outcome("action_right", right_words(gains)))
     ended = retuner.abort(TrialEvent.ACTION_TURNED)

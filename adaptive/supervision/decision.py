@@ -76,9 +76,10 @@ class Outcome:
     excitation : what the region model rests on.
     prediction : what the proved gains promise, worked out where they may be written at all. posterior : what the record
     says of both sets of a trial that it ran under. beside : what is known from now on of the other regions on its way.
-    elsewhere : what is due in a region where the loop is not, by its index. robust : of a trial, whether by all
-    samples the tried set is. refuted : why the samples of a trial by themselves speak against its set, empty for not.
-    book : what all samples have shown of the region by now, None for as before; all_samples : of the gains in force.
+    elsewhere : what is due in a region where the loop is not, by its index. robust : after a trial, whether all
+    samples show its set to be robust. refuted : why the samples of a trial by themselves speak against its set, empty
+    for not. book : what all samples have shown of the region by now, None for as before; all_samples : of the gains in
+    force.
     """
 
     code: str

@@ -73,7 +73,7 @@ from retuner.adaptive.trial.words_on_persons_edit import NOT_TAKEN, edit_words, 
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable, Lookup
 
-PATIENCE = 2.0  # all samples are looked at without a response after so many times the wait that one with it takes
+PATIENCE = 2.0  # without a response, all samples are looked at after so many times the usual wait
 
 
 class Retuner:
@@ -103,7 +103,7 @@ class Retuner:
         self._open: OpenQuestion | None = None
         self._due: Mapping[int, Outcome] = {}
         self.sample_number = 0  # samples observed so far
-        self.turned = False  # whether the controller acts in the other direction: see operator_orders.acts
+        self.action_reversed = False  # whether the controller acts in the other direction: see operator_orders.acts
 
     @property
     def region(self) -> int | None:
@@ -170,7 +170,7 @@ class Retuner:
         A question stays open until its answer is entered. A decision that comes with a question restores the verified
         set, and does not wait for what the response under way may teach.
         """
-        if self.turned:  # as in manual: the loop is not ours, and teaches nothing
+        if self.action_reversed:  # as in manual: the loop is not ours, and teaches nothing
             sample = plain(sample)._replace(mode=LoopMode.MANUAL)
         due, self._due = self._due, {}
         step = self._step_on_trial(plain(sample)) if self.trials.busy else self._step(sample)
@@ -179,7 +179,7 @@ class Retuner:
         return step
 
     def _made_elsewhere(self, region: int, outcome: Outcome) -> Decision:
-        """A change that is due where the loop is not; a trial that waits there ends first, as one without a word."""
+        """A change that is due where the loop is not; a trial that waits there is first ended as timed out."""
         ended = self.trials.away(region) and self.trials.event(region, TrialEvent.TIMED_OUT, self.now_s)
         if ended and self.trials.phase(region) is TrialPhase.RESTORING:
             return self._trial_ended({region: TrialEvent.TIMED_OUT})
@@ -208,8 +208,9 @@ class Retuner:
         return self._asked(Completed(region, nothing, self._finder.entered_s), alone=look)
 
     def _look(self, *, alone: bool = False, on_trial: bool = False) -> Look | None:
-        """What of all samples is due to be looked at; None for not yet. alone : without a response, and then nothing
-        that is not due is looked at.
+        """The samples to look at now, or None for none; sets when the next look is due.
+
+        alone : no response has completed, and only a look that is due is worth one. on_trial : a trial waits for it.
         """
         region, samples, settings = self.region, self._finder.samples, self.settings
         if region is None or not samples or self.table.lookup is not Lookup.HARD:
@@ -239,9 +240,9 @@ class Retuner:
     def enter(self, question: Question, result: Outcome, sample_number: int) -> Decision:
         """Enter the answer to the open question, after the sample of that number.
 
-        An answer that was overtaken (see Overtaken) teaches and changes nothing. Where a trial ended with the sample
-        that raised the question, the answer entered at that same sample gives the decision to restore once more, with
-        what was learned: it takes the place of the first one.
+        An answer that was overtaken (see Overtaken) teaches and changes nothing. If a trial ended at the sample that
+        raised the question and the answer comes at that same sample, the decision to restore is made again with what
+        was learned, in place of the first one.
 
         Raises
         ------
@@ -321,8 +322,8 @@ class Retuner:
         free = self.trials.may_change(region, self.now_s, urgent=unpromised, ordered=not unpromised)
         phase = self.trials.phase(region)
         free = free or (unpromised and phase in {TrialPhase.LOCKED, TrialPhase.HELD})
-        if gains is not None and (self.turned or not free):
-            why = TrialEvent.ACTION_TURNED if self.turned else phase
+        if gains is not None and (self.action_reversed or not free):
+            why = TrialEvent.ACTION_TURNED if self.action_reversed else phase
             gains, outcome = None, Outcome(f"held_{why.name.lower()}", f"no change now: {why}")
         decision = replace(self._decision(region, outcome), action=Action.NONE, gains_after=None, prediction=None)
         if gains is None:
@@ -371,7 +372,7 @@ class Retuner:
         return self.table.at(region, x, x2)
 
     def _change(self, region: int, gains: PidGains) -> None:
-        """The one place where the table changes; what was behind a response is asked anew, but of gains that return."""
+        """The one place where the table changes; the count of other causes restarts, unless these gains ran before."""
         self.table = self.table.with_gains(region, gains)
         if gains not in self.trials.of(region).earlier:
             self.foreign.pop(region, None)

@@ -2,13 +2,13 @@
 
     IDLE -> WRITING -> TRIAL -> IDLE (or WAITING for a person)      the good way
     a cause that ends trials, in WRITING, TRIAL, AWAY or PAUSED     rollback.py says which set is to run:
-        another one than the tried set, or evidence against that -> RESTORING -> COOLING -> IDLE (or LOCKED)
+        another set, or any evidence against the tried set -> RESTORING -> COOLING -> IDLE (or LOCKED)
         else, the tried set stays -> PAUSED (or ENSURING first, where it may not run) -> TRIAL
     a person's edit, in any phase      -> HELD -> IDLE
 
 What is to run is put into the table by ENTERING the phase, whatever led there. RESTORING and ENSURING are left in one
 way only: the controller has reported that it runs that set. Everything else that can happen there leaves them where
-they are, but a person's edit.
+they are, except a person's edit.
 """
 
 from enum import StrEnum

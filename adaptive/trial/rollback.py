@@ -20,7 +20,7 @@ of it the tried one stays. Another set takes their place if it is expected to lo
 change. The commissioned set has no privilege.
 
 `less_stable` guards every way back: a set stays out if it is likelier to be unstable than the one that runs or to lose
-more, on the models before that evidence weighs them (at Ms 100 the loss is nearly that of an unstable loop). A
+more, by the models' weights from before the trial (at Ms 100 the loss is nearly that of an unstable loop). A
 person's order is held to the first alone. Where no model is left, the models on which the tried set was proved decide.
 One case asks no model: if pv left its range under the tried set alone, the set before runs, unless it swung on or was
 called unstable from the start.
@@ -110,9 +110,9 @@ class RollbackNumbers(Numbers):
 class SetsThatRan(NamedTuple):
     """before : the set before the trial. tried : None while it is not known to have run. earlier : the newest first.
 
-    swung : ratio of successive peaks that was seen of the set before, None when nothing was. swings : as seen, else as
-    the models said that the change was proved on. lost : these called the set before unstable, and the tried one not.
-    left : under the tried one pv went from its range, and never so far under the set before.
+    swung : ratio of successive peaks seen under the set before, None when none was. swings : the same, or else what the
+    models predicted on which the change was proved. lost : they called the set before unstable, and the tried one not.
+    left : pv left its range under the tried set, and never went so far under the set before.
     """
 
     before: PidGains

@@ -391,7 +391,7 @@ def test_gains_of_the_other_sign_are_found_at_the_start(make_wire: Callable[...,
     """They were there before the session: the schedule does not write over them."""
     wire = make_wire(first=PidGains(-GOOD.kp, -GOOD.ki))
     wire.run(100)
-    assert wire.session.retuner.turned
+    assert wire.session.retuner.action_reversed
     assert wire.kinds.count("action") == 1
     assert "intent" not in wire.kinds
 

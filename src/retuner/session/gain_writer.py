@@ -1,4 +1,4 @@
-"""Writes the gains that the controller is to run, one two-phase write at a time, each recorded before it begins. First
+"""Writes the gains that the controller is to run, one two-phase write at a time, each recorded before it begins:
 
     1  the set to run, while a change is being rolled back: before everything else, until it has been read back
     2  a decision of the retuner, when the loop is still in its region and the link has been sound for a while
@@ -26,8 +26,8 @@ INTERPOLATION_STEP = 1.02
 """An interpolated schedule is written when a gain has moved by this factor: a write costs about ten frames."""
 RETRY_SAMPLES = 30  # samples to wait after a refused or failed write before the schedule asks again
 RESTORE_RETRY_SAMPLES = 5
-"""Sample times to wait after a refused write of the verified set before it is tried again; doubled each time,"""
-RESTORE_DOUBLINGS = 5  # and so many times at the most
+"""Sample times before a refused restore is tried again; doubled each time, RESTORE_DOUBLINGS times at most."""
+RESTORE_DOUBLINGS = 5
 HOLD_SAMPLES = 30
 """Samples without trouble on the link before a decision is written again; what was decided meanwhile is dropped."""
 
@@ -141,8 +141,8 @@ class GainWriter:
     @property
     def free(self) -> bool:
         """Whether what is asked for now would be begun at once: nothing under way, waiting, held or being restored."""
-        sound = self.t_s >= self._hold_until_s and not self.frozen and self.device.connected and not self.retuner.turned
-        return sound and self.machine.phase is WriterPhase.IDLE and not self.restoring
+        held = self.t_s < self._hold_until_s or self.frozen or self.retuner.action_reversed
+        return not held and self.device.connected and self.machine.phase is WriterPhase.IDLE and not self.restoring
 
     @property
     def restoring(self) -> bool:
@@ -153,7 +153,7 @@ class GainWriter:
         """A decision wants its gains to run. A change waits until `begin_due_write` has it written, unless another one
         is ahead of it. A way back does not wait: the table has its set already, and that is written first of all.
 
-        What a person ordered is not on trial: a trial would keep the set before it, for a later change to go back to.
+        Gains that a person orders without a prediction run without a trial, which would keep the set before them.
         """
         if decision.gains_after is None:
             return
@@ -193,10 +193,10 @@ class GainWriter:
         running = self.device.running
         if self.open or self.device.writing or not self.device.connected or running is None:
             return
-        if self.retuner.turned:  # not the way back either: the controller acts the other way, and a person has to look
+        if self.retuner.action_reversed:  # no restore either: a person has to look
             self._drop("the controller acts in the other direction")
             return
-        # A write of which nobody knows the end, because the session died in it: what runs tells
+        # A write under way when the last session died: what runs tells whether it took effect
         trials = self.retuner.trials
         for at in trials.undecided + trials.restoring if trials.busy else ():
             trial = trials.of(at)

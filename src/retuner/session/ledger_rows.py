@@ -128,7 +128,7 @@ def feed(retuner: Retuner, kind: str, body: Mapping[str, Any], t_s: float) -> De
             return acts(retuner, gains_of(body["gains"]))
         case "foreign", _:
             gains = gains_of(body["gains"])
-            return None if retuner.turned else retuner.edited(gains)
+            return None if retuner.action_reversed else retuner.edited(gains)
         case "answer", _:
             return _answer(retuner, body)
         case "pretune", _:

@@ -204,7 +204,7 @@ class LoopSession:
         self.writer.begin_due_write(now_s)
         if self.machine.phase in TO_END:
             # The end is reached when nothing is open; or the waiting time is over, and what is left open is said.
-            nothing_open, turned = not self.writer.open and not self._bumped, self.retuner.turned
+            nothing_open, turned = not self.writer.open and not self._bumped, self.retuner.action_reversed
             if nothing_open and not turned and not self.writer.restoring:
                 self.machine.take(SessionInput.CLOSED)
             elif now_s >= self._ends_at_s or (nothing_open and turned):
@@ -255,7 +255,7 @@ class LoopSession:
         """Whether the setpoint is to be bumped, or goes back; what has not arrived is sent once more."""
         if self.bumps is None:
             return
-        if self.retuner.turned:  # as in manual: a bump goes back, none begins
+        if self.retuner.action_reversed:  # as in manual: a bump goes back, none begins
             sample = sample._replace(mode=LoopMode.MANUAL)
         news = self.bumps.step(sample, free=self.writer.free and self.machine.phase is SessionPhase.WATCHING)
         again = self.bumps.planner.again(sample.t_s)
@@ -326,7 +326,7 @@ class LoopSession:
                     self.writer.hold(kind)
                 if isinstance(event, RunningChanged):
                     # Somebody else has changed the running set: it is theirs, and stays
-                    decision = None if self.retuner.turned else self.retuner.edited(event.running.gains)
+                    decision = None if self.retuner.action_reversed else self.retuner.edited(event.running.gains)
                     if decision is not None:
                         self._decided(decision)
                 self._abort(abort_cause(event))
@@ -340,7 +340,7 @@ class LoopSession:
         self._acted = running if self.retuner.region is not None else None
         if decision is None:
             return
-        body = {"turned": self.retuner.turned, "gains": gains_dict(running.gains), "reason": decision.reason}
+        body = {"turned": self.retuner.action_reversed, "gains": gains_dict(running.gains), "reason": decision.reason}
         self._to_ledger("action", self.writer.t_s, body)
         self._decided(decision)
 
@@ -365,8 +365,8 @@ class LoopSession:
         """Record that the session ends without knowing that the verified set runs, if it is so."""
         trials = self.retuner.trials
         gains_open = self.writer.open or bool(trials.left_open)
-        if not self.left_open and (gains_open or self._bumped or self.retuner.turned):
-            self.left_open = TURNED if self.retuner.turned else GAINS_OPEN if gains_open else SETPOINT_OPEN
+        if not self.left_open and (gains_open or self._bumped or self.retuner.action_reversed):
+            self.left_open = TURNED if self.retuner.action_reversed else GAINS_OPEN if gains_open else SETPOINT_OPEN
             running = self.device.running
             names = self.table.regions.names
             body = {
