@@ -64,14 +64,36 @@ class ClosedLoop:
 
 def traces(loops: Sequence[ClosedLoop], upsets: Sequence[Upset]) -> list[list[Trace]]:
     """The response of every loop to every upset: [loop][upset]."""
-    loops = list(loops)
+    loops, n = list(loops), len(upsets)
     for i, p in enumerate(loop.process for loop in loops):
         if not (p.integrators or p.lags_s or p.quadratics):  # a pure dead time is one with a short lag
             loops[i] = replace(loops[i], process=replace(p, lags_s=(LEAST_LAG * p.theta_s or 1.0,)))
     steps = [SPAN / (POINTS * crossover(loop)) for loop in loops]
-    made = _Lanes(loops, steps, upsets)
-    e, u = made.run()
-    n = len(upsets)
+    # All loops under all upsets are lanes side by side: phi (states, states, lanes), Gamma, C and the start (states,
+    # lanes), each process n times, its states padded to the most
+    spaces = [state_space(loop.process, step) for loop, step in zip(loops, steps, strict=True)]
+    most = max(len(space.b) for space in spaces)
+    whole, c = np.zeros((len(loops), most + 1, most + 1)), np.zeros((most, len(loops)))
+    for i, space in enumerate(spaces):
+        m = len(space.b)
+        whole[i, :m, :m], whole[i, :m, most], c[:m, i] = space.a, space.b, space.c
+    moved, h = exponentials(whole), np.repeat(steps, n)
+    gamma, b = (np.repeat(part[:, :most, most], n, axis=0).T for part in (moved, whole))
+    r, loads, pulse = (
+        np.tile([getattr(upset, name) for upset in upsets], len(loops)) for name in ("setpoint", "load_step", "pulse")
+    )
+    phi = np.repeat(moved[:, :most, :most], n, axis=0).transpose(1, 2, 0)
+    states = phi, gamma, np.repeat(c, n, axis=1), b * pulse / h
+    # Each lane's law in its own unit of time, shape (lanes,); its dead time as whole steps and a share of one
+    kp, ki, kd = (np.repeat([getattr(loop.gains, name) for loop in loops], n) for name in ("kp", "ki", "kd"))
+    filter_s = np.maximum(np.repeat([loop.tau_f_s for loop in loops], n), h)
+    delay = np.maximum(np.repeat([loop.process.theta_s for loop in loops], n) / h - 0.5, 0.0)
+    weight, late = np.repeat([loop.b for loop in loops], n), np.floor(delay)
+    laws = kp, ki * h, kd / filter_s, -np.expm1(-h / filter_s), weight, r, loads, late, delay - late
+    if (engine := compiled()) is not None and all(np.isfinite(part).all() for part in states):
+        e, u = engine.closed(states, np.column_stack(laws), LIMIT, POINTS + 1)
+    else:
+        e, u = _stepped(*states, laws)
     return [
         [Trace(steps[i], e[:, i * n + j], u[:, i * n + j], upset.rest(loop.process)) for j, upset in enumerate(upsets)]
         for i, loop in enumerate(loops)
@@ -92,65 +114,25 @@ def crossover(loop: ClosedLoop) -> float:
     return float(w[over[-1]] if over.size else w[0])
 
 
-class _Lanes:
-    """All loops under all upsets, side by side; arrays of shape (lanes,) or (states, lanes)."""
-
-    def __init__(self, loops: Sequence[ClosedLoop], steps: Sequence[float], upsets: Sequence[Upset]) -> None:
-        n = len(upsets)
-        # phi (states, states, lanes), Gamma, B and C (states, lanes), each process n times; states padded to the most
-        spaces = [state_space(loop.process, step) for loop, step in zip(loops, steps, strict=True)]
-        most = max(len(space.b) for space in spaces)
-        whole = np.zeros((len(loops), most + 1, most + 1))
-        c = np.zeros((most, len(loops)))
-        for i, space in enumerate(spaces):
-            m = len(space.b)
-            whole[i, :m, :m], whole[i, :m, most], c[:m, i] = space.a, space.b, space.c
-        moved = exponentials(whole)
-        phi, gamma, b = moved[:, :most, :most], moved[:, :most, most], whole[:, :most, most]
-        spread = (
-            np.repeat(phi, n, axis=0).transpose(1, 2, 0),
-            np.repeat(gamma, n, axis=0).T,
-            np.repeat(b, n, axis=0).T,
-        )
-        self.phi, self.gamma, start, self.c = *spread, np.repeat(c, n, axis=1)
-        h = np.repeat(steps, n)
-        gains = [loop.gains for loop in loops]
-        self.kp = np.repeat([g.kp for g in gains], n)
-        self.ki = np.repeat([g.ki for g in gains], n) * h
-        filter_s = np.maximum(np.repeat([loop.tau_f_s for loop in loops], n), h)
-        self.kd = np.repeat([g.kd for g in gains], n) / filter_s
-        self.follow = -np.expm1(-h / filter_s)
-        self.b = np.repeat([loop.b for loop in loops], n)
-        self.r, self.loads, pulse = (
-            np.tile([getattr(upset, name) for upset in upsets], len(loops))
-            for name in ("setpoint", "load_step", "pulse")
-        )
-        self.x = start * pulse / h
-        delay = np.maximum(np.repeat([loop.process.theta_s for loop in loops], n) / h - 0.5, 0.0)
-        self.whole = delay.astype(np.int64)
-        self.share = delay - self.whole
-        self.lead = int(np.max(self.whole)) + 2
-
-    def run(self) -> tuple[FloatArray, FloatArray]:
-        """Errors and controller outputs, shape (POINTS + 1, lanes)."""
-        whole = all(np.isfinite(part).all() for part in (self.phi, self.gamma, self.c, self.x))
-        if (engine := compiled()) is not None and whole:
-            laws = (self.kp, self.ki, self.kd, self.follow, self.b, self.r, self.loads, self.whole, self.share)
-            e, u = engine.closed((self.phi, self.gamma, self.c, self.x), np.column_stack(laws), LIMIT, POINTS + 1)
-            return e, u
-        lanes = np.arange(len(self.kp))
-        e, u = np.zeros((POINTS + 1, len(lanes))), np.zeros((POINTS + 1 + self.lead, len(lanes)))
-        z, filtered = np.zeros(len(lanes)), np.zeros(len(lanes))
-        for i in range(POINTS + 1):
-            y = np.sum(self.c * self.x, axis=0)
-            e[i] = self.r - y
-            if i:
-                z += 0.5 * (e[i] + e[i - 1])
-            raw = self.kp * (self.b * self.r - y) + self.ki * z - self.kd * (y - filtered)
-            filtered += self.follow * (y - filtered)
-            at = i + self.lead
-            u[at] = np.clip(raw, -LIMIT, LIMIT)
-            row = at - self.whole
-            arrives = (1 - self.share) * u[row, lanes] + self.share * u[row - 1, lanes] + self.loads
-            self.x = np.einsum("ijn,jn->in", self.phi, self.x) + self.gamma * arrives
-        return e, u[self.lead :]
+def _stepped(
+    phi: FloatArray, gamma: FloatArray, c: FloatArray, x: FloatArray, laws: tuple[FloatArray, ...]
+) -> tuple[FloatArray, FloatArray]:
+    """Errors and controller outputs, shape (POINTS + 1, lanes), without the compiled engine."""
+    kp, ki, kd, follow, weight, r, loads, late, share = laws
+    whole, lanes = late.astype(np.int64), np.arange(len(kp))
+    lead = int(np.max(whole)) + 2
+    e, u = np.zeros((POINTS + 1, len(lanes))), np.zeros((POINTS + 1 + lead, len(lanes)))
+    z, filtered = np.zeros(len(lanes)), np.zeros(len(lanes))
+    for i in range(POINTS + 1):
+        y = np.sum(c * x, axis=0)
+        e[i] = r - y
+        if i:
+            z += 0.5 * (e[i] + e[i - 1])
+        raw = kp * (weight * r - y) + ki * z - kd * (y - filtered)
+        filtered += follow * (y - filtered)
+        at = i + lead
+        u[at] = np.clip(raw, -LIMIT, LIMIT)
+        row = at - whole
+        arrives = (1 - share) * u[row, lanes] + share * u[row - 1, lanes] + loads
+        x = np.einsum("ijn,jn->in", phi, x) + gamma * arrives
+    return e, u[lead:]

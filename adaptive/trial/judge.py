@@ -168,10 +168,14 @@ def judge(
     costs, upset = _costs(seen, gains, now, before, sigma, settings)
     numbers = TrialNumbers(peaks, posterior, decay, upset)
     told = "; ".join(filter(None, (swings, costs)))
-    robust = excused or (seen.robust and not costs)
-    by_loads = "" if worse or not told else _by_loads(seen, told, settings, robust=robust)
-    if by_loads:
-        return _by_posterior(by_loads, seen.posterior, settings, numbers)
+    if told and not worse:
+        # Loads may explain what the response by itself says against the set: all samples hold against that, or records
+        words = told.replace(WORSE_WORDS, "")
+        if excused or (seen.robust and not costs):
+            words = f"a wandering load explains this response equally well: {words}"
+            return _by_posterior(words, seen.posterior, settings, numbers)
+        if seen.posterior and seen.posterior.agreed and in_favour(seen.posterior, settings):
+            return _by_posterior(f"loads explain this response: {words}", seen.posterior, settings, numbers)
     if told or worse:
         return Judgement(TrialFinding.WORSE, "; ".join(filter(None, (told, worse))), numbers)
     # Better, as promised, or cut short before that can be said
@@ -187,19 +191,6 @@ def judge(
     beyond = wide or (upset is not None and 0.0 <= upset.iae_limit < upset.iae)
     head = "not as predicted, but no worse than with the previous gains" if beyond else "as predicted"
     return Judgement(TrialFinding.AS_PROMISED, f"{head}: {told}", numbers)
-
-
-def _by_loads(seen: JudgedResponse, told: str, settings: TrialSettings, *, robust: bool) -> str:
-    """Which loads explain what the response by itself says against the set; empty where none do.
-
-    robust : all samples hold against that.
-    """
-    words = told.replace(WORSE_WORDS, "")
-    if robust:
-        return f"a wandering load explains this response equally well: {words}"
-    if seen.posterior and seen.posterior.agreed and in_favour(seen.posterior, settings):
-        return f"loads explain this response: {words}"
-    return ""
 
 
 def _by_posterior(why: str, seen: PosteriorCheck | None, settings: TrialSettings, numbers: TrialNumbers) -> Judgement:
@@ -225,12 +216,8 @@ def _says_nothing(seen: JudgedResponse, prediction: Prediction, settings: TrialS
     if largest < least:
         return f"not judged: the peaks are below {settings.seen_bands:g} noise bands ({least:.3g} in units of pv)"
     wanders, least = settings.seen_wanders, settings.seen_wanders * prediction.wander
-    if largest < least:
-        return (
-            f"not judged: the peaks are below {wanders:g} standard deviations of the error before the change "
-            f"({least:.3g} in units of pv)"
-        )
-    return ""
+    what = f"{wanders:g} standard deviations of the error before the change ({least:.3g} in units of pv)"
+    return f"not judged: the peaks are below {what}" if largest < least else ""
 
 
 def _unlike_a_step(seen: JudgedResponse, settings: TrialSettings) -> str:
@@ -270,11 +257,10 @@ def _swings(
     numbers = SwingNumbers(*swing(peaks, response.band), limit, now.decay.best, before, sure)
     if sure is None or sure <= limit or sure <= before:
         return "", numbers
-    words = (
+    return (
         f"{WORSE_WORDS}half-cycle decay ratio {numbers.decay:.2f} (at least {sure:.2f} allowing for noise; limit "
         f"{limit:.2f}), predicted at most {now.decay.high:.2f}; previous gains {before:.2f}"
-    )
-    return words, numbers
+    ), numbers
 
 
 def _costs(
@@ -297,11 +283,10 @@ def _costs(
     numbers = UpsetNumbers(measured, *held_against, travel, storable(now.travel.best))
     if measured <= limit or measured <= before:
         return "", numbers
-    words = (
+    return (
         f"{WORSE_WORDS}IAE {measured:.3g} {_PER[response.sp_changed]} (limit {limit:.3g}), predicted at most "
         f"{now.iae.high:.3g}; previous gains {before:.3g}"
-    )
-    return words, numbers
+    ), numbers
 
 
 def _during(seen: JudgedResponse) -> NDArray[np.bool_]:

@@ -22,7 +22,7 @@ change. The commissioned set has no privilege.
 `less_stable` guards every way back: a set stays out if it is likelier to be unstable than the one that runs or to lose
 more, by the models' weights from before the trial (at Ms 100 the loss is nearly that of an unstable loop). A
 person's order is held to the first alone. Where no model is left, the models on which the tried set was proved decide.
-One case asks no model: if pv left its range under the tried set alone, the set before runs, unless it swung on or was
+One case asks no model: if pv left its range under the tried set only, the set before runs, unless it swung on or was
 called unstable from the start.
 """
 
@@ -111,8 +111,8 @@ class SetsThatRan(NamedTuple):
     """before : the set before the trial. tried : None while it is not known to have run. earlier : the newest first.
 
     swung : ratio of successive peaks seen under the set before, None when none was. swings : the same, or else what the
-    models predicted on which the change was proved. lost : they called the set before unstable, and the tried one not.
-    left : pv left its range under the tried set, and never went so far under the set before.
+    models predicted on which the change was proved. unstable_before : they called the set before unstable, and the
+    tried one not. left_range : pv left its range under the tried set only.
     """
 
     before: PidGains
@@ -120,8 +120,8 @@ class SetsThatRan(NamedTuple):
     earlier: tuple[PidGains, ...] = ()
     swung: float | None = None
     swings: float = 0.0
-    lost: bool = False
-    left: bool = False
+    unstable_before: bool = False
+    left_range: bool = False
 
 
 class Rollback(NamedTuple):
@@ -154,7 +154,7 @@ class SetRecord(NamedTuple):
 def rollback(cause: TrialEvent, ran: SetsThatRan, known: StillAllowed, settings: TrialSettings) -> Rollback:
     """Which set is to run after a cause that ends trials; see the head of this file."""
     swung = ran.swung is not None and ran.swung >= SWINGS_ON
-    left, swung = ran.left and not (swung or ran.lost), swung and not known.by_loads
+    left, swung = ran.left_range and not (swung or ran.unstable_before), swung and not known.by_loads
     if ran.tried is None or ran.tried == ran.before:
         return Rollback(ran.before, stays=False)
     if cause is TrialEvent.ORDERED_BACK:
@@ -168,7 +168,7 @@ def rollback(cause: TrialEvent, ran: SetsThatRan, known: StillAllowed, settings:
     seen = {ran.before: SetRecord(1) if swung else worked, ran.tried: now}
     expected, else_ = expected_losses(ms, known.likely(), seen, settings.harmless_ms)
     shut = {one for one in ms if less_stable(one, ran.tried, known, settings.harmless_ms)}
-    shut |= {ran.before} if ran.lost and not known.processes else set()
+    shut |= {ran.before} if ran.unstable_before and not known.processes else set()
     open_to = [ran.before] if left else [gains for gains in ms if gains not in shut]
     runs = sets[0] if sets[0] in open_to else ran.tried
     for other in open_to:
@@ -192,8 +192,8 @@ def less_stable(to: PidGains, present: PidGains, known: StillAllowed, harmless_m
     each = [known.ms(gains) for gains in (to, present)]
     there, here = (robustness(ms) for ms in each)
     goes, stays = (sum(w * loss_of(one, harmless_ms) for w, one in zip(known.likely(), ms, strict=True)) for ms in each)
-    lost = there[1] == here[1] == models and less_of_everything(to, present)
-    if not (goes > stays + PRICE or known.unstable(to) > known.unstable(present) + PRICE or lost):
+    neither = there[1] == here[1] == models and less_of_everything(to, present)
+    if not (goes > stays + PRICE or known.unstable(to) > known.unstable(present) + PRICE or neither):
         return ""
     return (
         f"they are less stable on {models_words(models)}: {robustness_words(*there, models)}, "
@@ -211,12 +211,10 @@ def unstable_again(ran: SetsThatRan, known: StillAllowed) -> str:
     there = known.unstable(ran.before)
     if there > known.unstable(ran.tried) + PRICE:
         return f"the previous gains would be unstable with {there:.0%} probability"
-    if not known.processes and ran.lost:
-        return LOST_WORDS
-    return ""
+    return UNSTABLE_BEFORE if ran.unstable_before and not known.processes else ""
 
 
-LOST_WORDS = "the previous gains were unstable on the model on which the trial gains were proved"
+UNSTABLE_BEFORE = "the previous gains were unstable on the model on which the trial gains were proved"
 """Why a set does not come back where no model is left."""
 
 
@@ -258,8 +256,8 @@ def _words(
         return ""
     if found is None and cause is TrialEvent.TIMED_OUT:
         return "no response spoke against the trial gains"
-    if found is None and ran.lost:
-        return LOST_WORDS
+    if found is None and ran.unstable_before:
+        return UNSTABLE_BEFORE
     if found is None:
         return f"the previous gains kept oscillating (half-cycle decay ratio {ran.swung or math.nan:.2f})"
     tried = robustness_words(found.ms_tried, found.unstable_tried, found.models)

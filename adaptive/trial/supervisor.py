@@ -324,16 +324,13 @@ class TrialSupervisor:
         trial = self.of(at)
         if trial.phase == P.PAUSED and not (trial.cause == E.SATURATED and sample.limited):
             self._move(at, E.WATCHED, sample.t_s)
-        return self._watch(at, sample, band) or self._waits(at, sample.t_s)
-
-    def _waits(self, at: int, t_s: float) -> TrialEvent | None:
-        """A trial that no response decides is a person's, where he has the next word."""
-        trial = self.of(at)
-        if trial.phase != P.TRIAL or not self._asks(at) or trial.prediction is None:
-            return None
+        found, trial = self._watch(at, sample, band), self.of(at)
+        if found is not None or trial.phase != P.TRIAL or not self._asks(at) or trial.prediction is None:
+            return found
+        # a trial that no response decides is a person's, where he has the next word
         patience = trial.prediction.patience_s
         own_s = max(patience if math.isfinite(patience) else 0.0, self._tau_i_s(trial.new), self._shortest_s)
-        return E.TIMED_OUT if t_s - trial.since_s > self.settings.settles * own_s else None
+        return E.TIMED_OUT if sample.t_s - trial.since_s > self.settings.settles * own_s else None
 
     def _watch(self, at: int, sample: LoopSample, band: float) -> TrialEvent | None:
         trial = self.of(at)

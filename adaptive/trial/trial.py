@@ -52,9 +52,10 @@ class Trial:
         said = self.prediction
         swung = said.decay_seen if said else None
         swings = max(said.decay_before(setpoint=True), said.decay_before(setpoint=False)) if said else 0.0
-        lost = said is not None and said.unstable_before and bool(self.old.ki)  # without ki none comes to rest
-        left = self.seen is not None and self.seen.ends >= TWICE
-        return SetsThatRan(self.old, self.new if self.ran else None, self.earlier, swung, swings, lost, left)
+        unstable = said is not None and said.unstable_before and bool(self.old.ki)  # without ki none comes to rest
+        left_range = self.seen is not None and self.seen.ends >= TWICE
+        tried = self.new if self.ran else None
+        return SetsThatRan(self.old, tried, self.earlier, swung, swings, unstable, left_range)
 
     def with_earlier(self, gains: PidGains | None) -> "Trial":
         """The trial with one more set that ran here."""
@@ -82,10 +83,13 @@ class Trial:
 
         Raises KeyError, TypeError, ValueError: something is missing, or no value of its kind.
         """
-        seen = None
+        seen = back = None
         if body["seen"] is not None:
             at = {name: math.inf if value is None else float(value) for name, value in body["seen"].items()}
             seen = DivergenceState(**{name: kind(at[name]) for name, kind in WATCHED.items() if name in at})
+        if (led := body["back"]) is not None:
+            numbers = RollbackNumbers(**led["numbers"]) if led["numbers"] else None
+            back = Rollback(PidGains(*led["gains"]), bool(led["stays"]), str(led["reason"]), numbers)
         return cls(
             phase=TrialPhase[str(body["phase"]).upper()],
             old=PidGains(*body["old"]) if body["old"] else None,
@@ -99,7 +103,7 @@ class Trial:
             edits=int(body["edits"]),
             until_s=float(body["until_s"]),
             cause=TrialEvent[str(body["cause"]).upper()] if body["cause"] else None,
-            back=_back_in(body["back"]),
+            back=back,
             earlier=tuple(PidGains(*gains) for gains in body["earlier"]),
             seen=seen,
         )
@@ -107,13 +111,6 @@ class Trial:
 
 def _gains_out(gains: PidGains | None) -> list[float] | None:
     return [gains.kp, gains.ki, gains.kd] if gains else None
-
-
-def _back_in(body: Mapping[str, Any] | None) -> Rollback | None:
-    if body is None:
-        return None
-    numbers = RollbackNumbers(**body["numbers"]) if body["numbers"] else None
-    return Rollback(PidGains(*body["gains"]), bool(body["stays"]), str(body["reason"]), numbers)
 
 
 WATCHED = DivergenceState.__annotations__
