@@ -33,10 +33,8 @@ What a response looks like, in numbers by name: peaks of the error, and what pv 
 
 import math
 from enum import StrEnum
-from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from retuner.adaptive.decision_numbers import Numbers
 from retuner.adaptive.declared_setting import require_in_range, setting
@@ -103,7 +101,10 @@ def pattern_numbers(response: Response, window: Window) -> PatternNumbers:
     window : the response with some time before it.
     """
     during = (window.t_s >= response.t_start_s) & (window.t_s <= response.t_end_s)
-    height = float(np.max(np.abs(window.sp - window.pv)[during], initial=0.0))
+    size = np.abs(window.sp - window.pv)
+    height = float(np.max(size[during], initial=0.0))
+    co = window.co[during & (size > response.band)]
+    still = sum(max(int(np.sum(co == extreme)) - 1, 0) for extreme in (window.co.max(), window.co.min()))
     overshoot, period_s, damping = response.overshoot, response.period_s, response.damping  # None without one
     third = None
     if damping is not None:
@@ -112,22 +113,12 @@ def pattern_numbers(response: Response, window: Window) -> PatternNumbers:
     return PatternNumbers(
         peaks=float(len(response.peaks)),
         height_bands=height / response.band,
-        limited_share=_limited_share(window, during, response.band),
+        limited_share=still / co.size if co.size else 0.0,
         second=(None if overshoot is None or period_s is None else SecondPeak(overshoot, period_s)),
         third=third,
         tenth_s=_tenth_s(response, window) if response.sp_changed else None,
         after_load=None if response.sp_changed else _of_load(response, window),
     )
-
-
-def _limited_share(window: Window, during: npt.NDArray[np.bool_], band: float) -> float:
-    """Share of the upset in which co stood still at its largest or smallest value; 0 without an upset."""
-    upset = during & (np.abs(window.sp - window.pv) > band)
-    co = window.co[upset]
-    if not co.size:
-        return 0.0
-    still = sum(max(int(np.sum(co == extreme)) - 1, 0) for extreme in (window.co.max(), window.co.min()))
-    return still / co.size
 
 
 def _tenth_s(response: Response, window: Window) -> float | None:
@@ -161,19 +152,14 @@ def _of_load(response: Response, window: Window) -> LoadNumbers | None:
     back = smooth[largest:] * np.sign(smooth[largest])  # its way back, and how far it grows again
     growth = float(np.max(back - np.minimum.accumulate(back)))
     rebound = max(growth - response.band / 2, 0.0) / float(back[0]) if back[0] else 0.0  # half a band may be noise
-    return LoadNumbers(rise_s, tail_s, rebound, left_bands, *_of_co(window.co, during))
-
-
-def _of_co(co: FloatArray, during: npt.NDArray[np.bool_]) -> tuple[float, float | None]:
-    """How far co ended from where it began, as a share of its travel; how far it went beyond, as a share of that."""
+    # how far co ended from where it began, and how far it went beyond
     first, last = (int(i) for i in np.flatnonzero(during)[[0, -1]])
-    own = _smooth(co[first : last + 1])
-    before = median(co[: max(first, SMOOTHED)])
-    way = float(np.mean(co[last + 1 - 2 * SMOOTHED : last + 1])) - before
-    travel = max(float(np.max(own)), before) - min(float(np.min(own)), before)
-    if way == 0 or travel == 0:
-        return 0.0, None
-    return abs(way) / travel, float(np.max((own - before) / way)) - 1.0
+    own = _smooth(window.co[first : last + 1])
+    begun = median(window.co[: max(first, SMOOTHED)])
+    way = float(np.mean(window.co[last + 1 - 2 * SMOOTHED : last + 1])) - begun
+    travel = max(float(np.max(own)), begun) - min(float(np.min(own)), begun)
+    of_co = (abs(way) / travel, float(np.max((own - begun) / way)) - 1.0) if way and travel else (0.0, None)
+    return LoadNumbers(rise_s, tail_s, rebound, left_bands, *of_co)
 
 
 def _smooth(values: FloatArray) -> FloatArray:
@@ -356,38 +342,24 @@ def pattern_rule(
     """
     shown = pattern_numbers(response, window)
     refused = _refusal(response, diagnosis, shown, settings)
-    read = _PatternRead(refused, Move()) if refused else _reading(gains, shown, settings)
-    reading, move = read.reading, read.move
+    reading, move, *weighed = (refused, Move(), None, None) if refused else _reading(gains, shown, settings)
     if diagnosis is not None and move.direction * WANTED.get(diagnosis.cause, 0) < 0:
         reading = PatternReading.CONTRADICTED
     cause = diagnosis.reason if diagnosis else "no diagnosis was made"
     sentence = reading.value.format(cause=cause, seen=seen(shown), moves=move.words, **shown.to_dict())
-    numbers = AdviceNumbers(shown, read.margin, read.period_over_tau_i)
+    numbers = AdviceNumbers(shown, *weighed)
     if reading not in MOVING:
         return PatternAdvice(reading, sentence, numbers)
     numbers = replace(numbers, kc_factor=move.kc, tau_i_factor=move.tau_i)
     return PatternAdvice(reading, sentence, numbers, Tuning("pattern", "ideal", move.of(gains), None, (sentence,)))
 
 
-class _PatternRead(NamedTuple):
-    """A reading, what it moves, and the numbers that it rests on (AdviceNumbers)."""
-
-    reading: PatternReading
-    move: Move
-    margin: float | None = None
-    period_over_tau_i: float | None = None
-
-
 def seen(shown: PatternNumbers) -> str:
     """The numbers that a person compares with the targets."""
     said = shown.to_dict()
-    named = {
-        "overshoot": "overshoot",
-        "damping": "half-cycle decay ratio",
-        "co_overshoot": "overshoot of co",
-        "rebound": "rebound",
-    }
-    parts = [f"{word} {said[name]:.2f}" for name, word in named.items() if name in said]
+    words = {"damping": "half-cycle decay ratio", "co_overshoot": "overshoot of co"}
+    names = ("overshoot", "damping", "co_overshoot", "rebound")
+    parts = [f"{words.get(name, name)} {said[name]:.2f}" for name in names if name in said]
     return ", ".join(parts if shown.second else ["no second peak", *parts])
 
 
@@ -420,7 +392,10 @@ def _is_long(shown: PatternNumbers, settings: PatternSettings) -> bool:
     return shown.after_load is not None and shown.after_load.tail_s > settings.long_tail * shown.after_load.rise_s
 
 
-def _reading(gains: PidGains, shown: PatternNumbers, settings: PatternSettings) -> _PatternRead:
+def _reading(
+    gains: PidGains, shown: PatternNumbers, settings: PatternSettings
+) -> tuple[PatternReading, Move, float, float | None]:
+    """The reading, what it moves, and what it rests on: the margin to the targets, and the period over tau_I."""
     second, load = shown.second, shown.after_load
     damping = shown.third.damping if shown.third else 0.0
     overshoots = second.overshoot if second else 0.0, (load.co_overshoot or 0.0) if load else 0.0
@@ -438,10 +413,12 @@ def _reading(gains: PidGains, shown: PatternNumbers, settings: PatternSettings) 
             reading, move = PatternReading.ON_TARGET, Move()
         else:
             reading, move = PatternReading.OVERDAMPED, Move(kc=settings.least_up)
-        return _PatternRead(reading, move, m)
+        return reading, move, m, None
     ratio = gains.ki / gains.kp * second.period_s if gains.kp else math.inf
-    # slow, near its targets, calm or lively. m : margin. ratio : period over tau_I
-    if m < settings.dead_zone and _is_slow(second, ratio, shown.tenth_s, settings):
+    # a swing that decays, under a short integral time, with a period that is long against how soon pv answers
+    decays = second.overshoot < settings.slow_decays and settings.fast_ratio < ratio < math.inf
+    slow = decays and shown.tenth_s is not None and second.period_s > settings.slow_periods * shown.tenth_s
+    if m < settings.dead_zone and slow:
         reading, move = PatternReading.SLOW, Move(kc=settings.least_up)
     elif abs(m) <= settings.dead_zone:
         reading, move = PatternReading.ON_TARGET, Move()
@@ -453,14 +430,7 @@ def _reading(gains: PidGains, shown: PatternNumbers, settings: PatternSettings) 
     else:
         riding = damping - second.overshoot > settings.riding
         reading, move = PatternReading.LIVELY, _calmer(m, 0.0 if riding else ratio, damping, settings)
-    return _PatternRead(reading, move, m, ratio if gains.kp else None)
-
-
-def _is_slow(second: SecondPeak, ratio: float, tenth_s: float | None, settings: PatternSettings) -> bool:
-    """A swing that decays, under a short integral time, with a period that is long against how soon pv answers."""
-    decays = second.overshoot < settings.slow_decays
-    slow = tenth_s is not None and second.period_s > settings.slow_periods * tenth_s
-    return slow and decays and settings.fast_ratio < ratio < math.inf
+    return reading, move, m, ratio if gains.kp else None
 
 
 def _calmer(m: float, ratio: float, damping: float, settings: PatternSettings) -> Move:

@@ -19,7 +19,6 @@ Both settings grow alike, so Kc/tau_I stays: loads are integrated away as before
 
 import math
 from enum import StrEnum
-from typing import NamedTuple
 
 from retuner.adaptive.decision_numbers import NO_NUMBERS, Basis, Numbers
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
@@ -28,7 +27,7 @@ from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.rules.slow_oscillation import SHORTEST_PERIOD, slow_oscillation
 from retuner.adaptive.signals.response import Ending, Response
 from retuner.adaptive.signals.sample import Window
-from retuner.adaptive.without_model.pattern_rule import PatternSettings, pattern_rule
+from retuner.adaptive.without_model.pattern_rule import PatternAdvice, PatternSettings, pattern_rule
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, field, replace
 
@@ -140,42 +139,36 @@ def slow_oscillation_online(
     return SlowAdvice(reading, sentence, numbers, Tuning("slow-oscillation", "ideal", moved, None, (sentence,)))
 
 
-class _Read(NamedTuple):
-    """A reading and what was weighed for it."""
-
-    reading: SlowReading
-    numbers: SlowNumbers = SlowNumbers()
-
-
 def _reading(
     response: Response, gains: PidGains, diagnosis: Diagnosis | None, settings: SlowSettings, locks: Locks
-) -> _Read:
-    """The conditions at the head of this file, in order."""
+) -> tuple[SlowReading, SlowNumbers]:
+    """What the conditions at the head of this file say, in order, and what was weighed."""
+    nothing = SlowNumbers()
     if not (gains.kp and gains.ki):
-        return _Read(SlowReading.NO_PI)
+        return SlowReading.NO_PI, nothing
     if diagnosis is not None and diagnosis.cause not in MAY_APPLY:
-        return _Read(SlowReading.OTHER_CAUSE)
+        return SlowReading.OTHER_CAUSE, nothing
     if response.ending == Ending.SETPOINT:
-        return _Read(SlowReading.CUT_SHORT)
+        return SlowReading.CUT_SHORT, nothing
     if len(response.peaks) < (3 if response.sp_changed else 2):  # the first peak of a setpoint step is its beginning
-        return _Read(SlowReading.NO_SWING)
+        return SlowReading.NO_SWING, nothing
     before, last = response.peaks[-2:]
     period_s = 2 * (last.t_s - before.t_s)
     swing = SlowSwing(-last.e / before.e, period_s, period_s / (gains.kp / gains.ki), max(2 * math.pi, SHORTEST_PERIOD))
     if swing.ratio < swing.limit:
-        return _Read(SlowReading.NOT_SLOW, SlowNumbers(swing))
+        return SlowReading.NOT_SLOW, SlowNumbers(swing)
     zeta = zeta_of(swing.ratio)
     damping = SlowDamping(zeta, math.exp(-math.pi * zeta / math.sqrt(1 - zeta**2)))
     if abs(swing.decay - damping.expected) > settings.unlike:
-        return _Read(SlowReading.NOT_ALIKE, SlowNumbers(swing, damping))
+        return SlowReading.NOT_ALIKE, SlowNumbers(swing, damping)
     if zeta >= settings.damped:
-        return _Read(SlowReading.DAMPED, SlowNumbers(swing, damping))
+        return SlowReading.DAMPED, SlowNumbers(swing, damping)
     printed = slow_oscillation(swing.period_s, gains.kp / gains.ki)
     # How Kc and tau_I share the factor on their product
     factor = 1 / zeta**2
     kc = 1.0 if locks.kc else factor if locks.tau_i else math.sqrt(factor)
     tau_i = 1.0 if locks.tau_i else factor if locks.kc else math.sqrt(factor)
-    return _Read(SlowReading.APPLIES, SlowNumbers(swing, damping, SlowCure(factor, printed, kc, tau_i)))
+    return SlowReading.APPLIES, SlowNumbers(swing, damping, SlowCure(factor, printed, kc, tau_i))
 
 
 def zeta_of(ratio: float) -> float:
@@ -223,22 +216,14 @@ def step_without_model(
     if not settings.allowed:
         return Proposed("not_allowed", "changes without a model are switched off", NO_NUMBERS)
     slow = slow_oscillation_online(response, gains, diagnosis, settings.slow, locks)
-    if slow.tuning is not None:
-        return _locked(
-            Proposed(slow.reading.name.lower(), slow.sentence, slow.numbers, slow.tuning, Basis.SLOW_OSCILLATION),
-            gains,
-            locks,
-        )
-    pattern = pattern_rule(response, window, gains, diagnosis, settings.pattern)
-    found = Proposed(pattern.reading.name.lower(), pattern.sentence, pattern.numbers, pattern.tuning, Basis.PATTERN)
-    return _locked(found, gains, locks) if pattern.tuning is not None else replace(found, basis=None)
-
-
-def _locked(proposed: Proposed, in_force: PidGains, locks: Locks) -> Proposed:
-    """The proposal within what is locked, and nothing where the locks leave nothing of it."""
-    tuning = proposed.tuning
-    assert tuning is not None
-    kept = locks.keep(tuning.gains, in_force)
-    if kept == in_force:
-        return replace(proposed, tuning=None, basis=None, sentence=f"{proposed.sentence}; but that parameter is locked")
-    return replace(proposed, tuning=replace(tuning, gains=kept))
+    advice: SlowAdvice | PatternAdvice = slow
+    if slow.tuning is None:
+        advice = pattern_rule(response, window, gains, diagnosis, settings.pattern)
+    code, tuning = advice.reading.name.lower(), advice.tuning
+    if tuning is None:
+        return Proposed(code, advice.sentence, advice.numbers)
+    kept = locks.keep(tuning.gains, gains)
+    if kept == gains:
+        return Proposed(code, f"{advice.sentence}; but that parameter is locked", advice.numbers)
+    basis = Basis.SLOW_OSCILLATION if advice is slow else Basis.PATTERN
+    return Proposed(code, advice.sentence, advice.numbers, replace(tuning, gains=kept), basis)
