@@ -72,9 +72,8 @@ def doubt(seen: ModelEvidence, settings: ChoiceSettings) -> float:
     """Probability that something else than any of the models is behind the records."""
     s = settings
     agrees = s.doubt_agrees if seen.clear else s.doubt_alike
-    odds = (
-        s.doubt * agrees ** min(max(seen.records - 1, 0), s.most_agree) * s.doubt_load ** min(seen.loads, s.most_agree)
-    )
+    further, loads = min(max(seen.records - 1, 0), s.most_agree), min(seen.loads, s.most_agree)
+    odds = s.doubt * agrees**further * s.doubt_load**loads
     odds *= s.doubt_clear if seen.clear else 1.0
     odds *= (s.doubt_limited if seen.limited else 1.0) * (s.doubt_left if seen.left else 1.0)
     return odds / (1.0 + odds)
@@ -97,7 +96,7 @@ class Outlook:
     cost : on the models, see the head of this file. unknown : over the set in force where they are a fiction.
     j : IAE over that of SIMC. ms, ms_most : Ms. Both on the most likely model, ms_most on the worst; may be infinite.
     spread : standard deviation over the models of its cost over that of the set in force.
-    lost : whether it is unstable on every model.
+    unstable_on_all : whether it is unstable on every model.
     """
 
     cost: float
@@ -106,7 +105,7 @@ class Outlook:
     ms: float
     ms_most: float
     spread: float = 0.0
-    lost: bool = False
+    unstable_on_all: bool = False
 
     @property
     def stable(self) -> bool:
@@ -162,8 +161,8 @@ def outlooks(
         middle = _mean(over_now, weights)
         spread = math.sqrt(_mean([(c - middle) ** 2 for c in over_now], weights))
         unknown = if_unknown(sets[0].gains, choosable.gains, decay, settings)
-        lost = all(map(math.isinf, ms))
-        made.append(Outlook(_mean(costs, weights) + between, unknown, row[0], ms[0], max(ms), spread, lost))
+        on_all = all(map(math.isinf, ms))
+        made.append(Outlook(_mean(costs, weights) + between, unknown, row[0], ms[0], max(ms), spread, on_all))
     # A set that is unstable on the likeliest model costs no less than every stable one there
     stable = [one.cost + settings.out for one in made if one.stable]
     return [one if one.stable else replace(one, cost=max([one.cost, *stable])) for one in made]
@@ -292,7 +291,7 @@ def choose(found: Sequence[Outlook], way: Outlook | None, seen: ModelEvidence, s
 def in_danger(found: Sequence[Outlook], seen: ModelEvidence) -> bool:
     """Whether the set in force is unstable and what was proved in its place is to run, whatever it costs."""
     now = found[0]
-    return not now.stable and (now.lost or seen.records > 1)
+    return not now.stable and (now.unstable_on_all or seen.records > 1)
 
 
 def _gain(now: Outlook, then: Outlook, p: float) -> float:

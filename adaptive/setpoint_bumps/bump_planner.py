@@ -214,14 +214,14 @@ class BumpPlanner:
         """Time since the process was shown last."""
         return sample.t_s - (self._quiet_since_s if self._quiet_since_s is not None else sample.t_s)
 
-    def left_out(self, before: float, to: float) -> None:
-        """A session before this one ended without putting its setpoint back: that is what comes first."""
+    def resume_bumped(self, before: float, to: float) -> None:
+        """Put a setpoint back first that a session before this one has left bumped."""
         self._before, self._to = before, to
         self.phase, self._since_s, self._sent_s = BumpPhase.RETURNING, math.inf, -math.inf
         self._left = True
 
     def end(self, t_s: float) -> BumpNews | None:
-        """The session ends: the setpoint goes back, if it is out."""
+        """Put the setpoint back at the end of the session, if it is out."""
         return self._happened(BumpEvent.ENDED, t_s)
 
     def again(self, t_s: float) -> float | None:

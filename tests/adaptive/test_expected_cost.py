@@ -261,7 +261,7 @@ def test_an_unstable_loop_gets_the_slow_cure_that_a_lock_leaves() -> None:
     assert verdict.gains is not None
     assert verdict.ms_worst < 2.1
     found = outlooks(models, [Choosable(now), Choosable(verdict.gains)], None, LOOP, SETTINGS)
-    assert found[0].lost
+    assert found[0].unstable_on_all
     choice = choose(found, None, ModelEvidence(1), SETTINGS)
     assert choice.index == 1
     assert "instead of unstable" in choice.reason
@@ -274,7 +274,7 @@ def test_where_only_the_likeliest_model_is_unstable_a_second_record_decides() ->
 
 
 def test_of_a_change_that_cannot_reach_stability_all_of_it_is_made() -> None:
-    lost = Outlook(2.3, 0.0, math.inf, math.inf, math.inf, lost=True)
+    lost = Outlook(2.3, 0.0, math.inf, math.inf, math.inf, unstable_on_all=True)
     assert choose([lost, lost, replace(lost, unknown=-0.1)], None, ModelEvidence(1), SETTINGS).index == 1
 
 

@@ -210,7 +210,7 @@ def with_what_was_left(
             say(f"whether the session before left a setpoint bump is not known: {error}")
         left = None
     if left is not None and allowed:
-        bumps.planner.left_out(*left)
+        bumps.planner.resume_bumped(*left)
     elif left is not None:
         say(
             f"the session before left a setpoint bump out, from {left[0]:g} to {left[1]:g}, and bumps are no longer "

@@ -183,7 +183,7 @@ def test_a_setpoint_that_is_not_taken_is_sent_again_and_then_given_up(bench: Ben
 
 def test_what_a_session_before_left_out_goes_back_first(bench: Bench) -> None:
     bench.sp = 51.0
-    bench.planner.left_out(50.0, 51.0)
+    bench.planner.resume_bumped(50.0, 51.0)
     bench.run(3)
     assert (bench.sp, bench.planner.out) == (50.0, True)
     told = [(news.cause, news.phase, news.setpoint, news.before, news.to) for news in bench.news]
