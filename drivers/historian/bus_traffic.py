@@ -10,11 +10,12 @@ from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from pathlib import Path
 
+import can
 import numpy as np
 from cantools.database.can import Message, Signal
 
 from retuner.adaptive.signals.sample import FloatArray
-from retuner.drivers.dbc.dbc_file import read_dbc_file
+from retuner.drivers.dbc.dbc_file import bits_of, read_dbc_file
 from retuner.drivers.device import DeviceError
 from retuner.drivers.historian.assumption import Assumption
 from retuner.drivers.historian.data_frames import RowNumbers
@@ -60,8 +61,8 @@ def tables_of_traffic(path: Path, form: RecordForm) -> list[RawTable]:
     for frame in _whole_frames(path, told):
         key = frame.arbitration_id, frame.is_extended_id
         if key in messages:
-            times.setdefault(key, []).append(frame.t_s)
-            data.setdefault(key, []).append(frame.data)
+            times.setdefault(key, []).append(frame.timestamp)
+            data.setdefault(key, []).append(bytes(frame.data))
     by_key = {key: _frames(times[key], some, messages[key].length) for key, some in data.items()}
     del times, data  # a number and some bytes for each frame of the log
     for key, frames in by_key.items():
@@ -103,26 +104,18 @@ def _names(message: Message) -> dict[str, str]:
     return {s.name: s.name if s.name in tagged else f"{message.name}.{s.name}" for s in message.signals}
 
 
-def _whole_frames(path: Path, told: list[Assumption]) -> Iterator["_CanFrame"]:
+def _whole_frames(path: Path, told: list[Assumption]) -> Iterator[can.Message]:
     """Frames with data up to the end, or up to where the log is damaged; that is told."""
     count = 0
     try:
         for frame in read_frames(path):
             count += 1
             if not (frame.is_error_frame or frame.is_remote_frame):
-                yield _CanFrame(frame.timestamp, frame.arbitration_id, frame.is_extended_id, bytes(frame.data))
+                yield frame
     except RecordingError as error:
         if not count:
             raise
         told.append(Assumption(f"{error}: what stands before it was taken"))
-
-
-@dataclass(frozen=True, slots=True)
-class _CanFrame:
-    t_s: float
-    arbitration_id: int
-    is_extended_id: bool
-    data: bytes
 
 
 def _frames(times: Sequence[float], data: Sequence[bytes], length: int) -> Frames:
@@ -135,7 +128,7 @@ def _frames(times: Sequence[float], data: Sequence[bytes], length: int) -> Frame
 
 def _values(message: Message, signal: Signal, frames: Frames) -> tuple[np.ndarray, FloatArray]:
     """Rows that carry a signal, and its values in its unit: whole frames, of a multiplexed one its own pages."""
-    rows = frames.lengths > max(_places(signal)) // 8
+    rows = frames.lengths > max(bits_of(signal)) // 8
     if signal.multiplexer_ids:
         selector = message.get_signal_by_name(str(signal.multiplexer_signal))
         rows &= np.isin(_raw(selector, frames.payload), signal.multiplexer_ids)
@@ -143,18 +136,8 @@ def _values(message: Message, signal: Signal, frames: Frames) -> tuple[np.ndarra
     return rows, np.asarray(raw * float(signal.scale) + float(signal.offset), dtype=np.float64)
 
 
-def _places(signal: Signal) -> Sequence[int]:
-    """Bits of a signal from its least significant one, as 8 x byte + bit of the byte."""
-    if signal.byte_order == "little_endian":
-        return range(signal.start, signal.start + signal.length)
-    found = [signal.start]
-    while len(found) < signal.length:
-        found.append(found[-1] + 15 if found[-1] % 8 == 0 else found[-1] - 1)
-    return found[::-1]
-
-
 def _raw(signal: Signal, payload: np.ndarray) -> FloatArray:
-    places = np.array(_places(signal))
+    places = np.array(bits_of(signal))
     first, last = places.min() // 8, places.max() // 8 + 1
     bits = np.unpackbits(payload[:, first:last], axis=1, bitorder="little")[:, places - 8 * first]
     if signal.is_float:

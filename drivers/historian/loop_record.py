@@ -19,7 +19,7 @@ from retuner.drivers.historian.assumption import Assumption, in_a_line, quoted
 from retuner.drivers.historian.data_frames import is_frame, table_of_frame
 from retuner.drivers.historian.parquet_tables import tables_of_parquet
 from retuner.drivers.historian.raw_table import RawTable, decoded, text_table
-from retuner.drivers.historian.record_form import SIGNALS, RecordForm
+from retuner.drivers.historian.record_form import RecordForm
 from retuner.drivers.historian.reshaped import ANNOTATIONS, annotated_table
 from retuner.drivers.historian.row_order import OneSignal, joined
 from retuner.drivers.historian.scaling import scaled
@@ -31,6 +31,7 @@ from retuner.schedule.late_dataclass import dataclass, field, replace
 FILES_OF_A_FOLDER = (".csv", ".txt", ".tsv", ".parquet")
 TRAFFIC = (".blf", ".asc", ".mf4", ".log")  # Logs of bus traffic; of a folder they are read where a DBC is given
 TAGS_SHOWN = 8
+CALENDAR_S = 1e8  # stamps from which on are moments since 1970; smaller ones are times of the record's own
 EMPTY = "{}: no file in the folder; give text (.csv, .txt) or .parquet"
 WHOLE = RecordForm()
 
@@ -158,7 +159,7 @@ def _loops(read: Sequence[TableSignals], form: RecordForm) -> dict[str, LoopReco
     for tag, roles in _pieces(read).items():
         if {"pv", "co"} <= roles.keys() and tag not in found:
             try:
-                found[tag] = _record(_Loop(tag, _put_together(roles, read[0].source)), read, form)
+                found[tag] = _record(_Loop(tag, _joined_pieces(roles, read[0].source)), read, form)
             except RecordingError as error:
                 found[tag] = error
     return found
@@ -170,34 +171,21 @@ def _record(loop: _Loop, read: Sequence[TableSignals], form: RecordForm) -> Loop
             raise RecordingError(f"{read[0].source}: {role} has no value that is known; name another column")
     t_s, values, told = joined(loop.trends["pv"], {r: s for r, s in loop.trends.items() if r != "pv"})
     said = [*(a for one in read for a in (*one.assumed, *one.of_loop.get(loop.tag, ()))), *told]
-    assumed = tuple(dict.fromkeys(said))
     source = read[0].source if len(read) == 1 else f"{read[0].source} and {len(read) - 1} more"
-    others = {name: _other(name, values, source) for name in form.others}
+    for name in form.others:
+        if name not in values:
+            raise RecordingError(f"{source}: no column {quoted(name)}; name it as it stands in the head of the record")
+        if not np.max(np.abs(values[name])) <= LARGEST:
+            raise RecordingError(f"{source}: {name} is beyond {LARGEST:g} somewhere; give it in its engineering units")
     if form.sp is not None and "sp" not in values:
         values["sp"] = np.full(len(t_s), form.sp)
     if len(t_s) < 3:
         raise RecordingError(f"{source}: a record needs at least 3 samples, this one has {len(t_s)}")
-    origin = 0.0 if _counted_from_zero(t_s) else float(t_s[0])
-    recording = Recording(source, t_s - origin, values["pv"], values["co"], values.get("sp"))
+    begin_s = None if abs(float(t_s[0])) < CALENDAR_S else float(t_s[0])
+    recording = Recording(source, t_s - (begin_s or 0.0), values["pv"], values["co"], values.get("sp"))
     recording, more = scaled(recording, form.scale)
-    return LoopRecord(recording, assumed + more, loop.tag, None if _counted_from_zero(t_s) else float(t_s[0]), others)
-
-
-def _other(name: str, values: Mapping[str, FloatArray], source: str) -> FloatArray:
-    """A further column that is wanted.
-
-    Raises RecordingError: there is none of that name, or a value of it is out of any range.
-    """
-    if name not in values:
-        raise RecordingError(f"{source}: no column {quoted(name)}; name it as it stands in the head of the record")
-    if not np.max(np.abs(values[name])) <= LARGEST:
-        raise RecordingError(f"{source}: {name} is beyond {LARGEST:g} somewhere; give it in its engineering units")
-    return values[name]
-
-
-def _counted_from_zero(t_s: FloatArray) -> bool:
-    """Whether stamps are times of the record's own and no moments of a calendar."""
-    return abs(float(t_s[0])) < 1e8
+    others = {name: values[name] for name in form.others}
+    return LoopRecord(recording, (*dict.fromkeys(said), *more), loop.tag, begin_s, others)
 
 
 def _tables(source: object, form: RecordForm, tags: Sequence[str] = ()) -> list[RawTable]:
@@ -214,7 +202,11 @@ def _tables(source: object, form: RecordForm, tags: Sequence[str] = ()) -> list[
     if path.suffix.lower() in TRAFFIC:
         tables: list[RawTable] = import_module("retuner.drivers.historian.bus_traffic").tables_of_traffic(path, form)
         return tables
-    return [_text_table(path, form)]
+    text, assumed = decoded(path, form)
+    if text.lstrip("\ufeff\r\n ").startswith(ANNOTATIONS):  # InfluxDB's annotated CSV
+        found = annotated_table(str(path), text)
+        return [replace(found, assumed=(*assumed, *found.assumed))]
+    return [text_table(path, text, assumed, form)]
 
 
 def _forms(tables: Sequence[RawTable], form: RecordForm) -> list[tuple[RawTable, RecordForm]]:
@@ -264,14 +256,6 @@ def traffic_names(path: Path, form: RecordForm) -> list[str]:
     return names
 
 
-def _text_table(path: Path, form: RecordForm) -> RawTable:
-    text, assumed = decoded(path, form)
-    if text.lstrip("\ufeff\r\n ").startswith(ANNOTATIONS):  # InfluxDB's annotated CSV
-        found = annotated_table(str(path), text)
-        return replace(found, assumed=(*assumed, *found.assumed))
-    return text_table(path, text, assumed, form)
-
-
 Pieces = dict[str, list[OneSignal]]  # A loop's signals by role, each in pieces
 
 
@@ -280,7 +264,7 @@ def _together(read: Sequence[TableSignals]) -> dict[str, dict[str, OneSignal]]:
     refused = [error for one in read for error in one.refused.values()]
     if refused:
         raise refused[0]
-    return {tag: _put_together(roles, read[0].source) for tag, roles in _pieces(read).items()}
+    return {tag: _joined_pieces(roles, read[0].source) for tag, roles in _pieces(read).items()}
 
 
 def _pieces(read: Sequence[TableSignals]) -> dict[str, Pieces]:
@@ -297,22 +281,20 @@ def _pieces(read: Sequence[TableSignals]) -> dict[str, Pieces]:
     return pieces
 
 
-def _put_together(roles: Pieces, source: str) -> dict[str, OneSignal]:
-    return {role: _one_after_the_other(role, found, source) for role, found in roles.items()}
-
-
-def _one_after_the_other(role: str, pieces: list[OneSignal], source: str) -> OneSignal:
-    if len(pieces) == 1:
-        return pieces[0]
-    pieces = sorted((p for p in pieces if len(p.t_s)), key=lambda p: float(p.t_s[0]))
-    for a, b in pairwise(pieces):
-        if b.t_s[0] <= a.t_s[-1]:
+def _joined_pieces(roles: Pieces, source: str) -> dict[str, OneSignal]:
+    """Each signal as one, its pieces in the order of time."""
+    found = {role: pieces[0] for role, pieces in roles.items()}
+    for role, pieces in roles.items():
+        if len(pieces) == 1:
+            continue
+        some = sorted((p for p in pieces if len(p.t_s)), key=lambda p: float(p.t_s[0]))
+        if any(b.t_s[0] <= a.t_s[-1] for a, b in pairwise(some)):
             raise RecordingError(
                 f"{source}: {role} has two values at the same time; give one file for it, or --columns"
             )
-    return OneSignal(
-        np.concatenate([p.t_s for p in pieces]), np.concatenate([p.values for p in pieces]), any(p.held for p in pieces)
-    )
+        t_s, values = np.concatenate([p.t_s for p in some]), np.concatenate([p.values for p in some])
+        found[role] = OneSignal(t_s, values, any(p.held for p in some))
+    return found
 
 
 def _chosen(loops: Mapping[str, Mapping[str, OneSignal]], form: RecordForm, tables: Sequence[RawTable]) -> _Loop:
@@ -336,6 +318,3 @@ def _listed(names: Iterable[str]) -> str:
     found = [name or "(no tag)" for name in names]
     more = f" and {len(found) - TAGS_SHOWN} more" if len(found) > TAGS_SHOWN else ""
     return (", ".join(found[:TAGS_SHOWN]) or "nothing") + more
-
-
-__all__ = ["SIGNALS", "LoopRecord", "read_loop_record"]

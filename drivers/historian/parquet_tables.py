@@ -6,7 +6,6 @@ their own, so that what follows need not look at millions of names. Row groups t
 """
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from retuner.drivers.historian.data_frames import RowNumbers, column_of
 from retuner.drivers.historian.raw_table import RawTable
 from retuner.drivers.historian.record_form import RecordForm
 from retuner.drivers.historian.tags import loops, named
-from retuner.drivers.recorded.recording import RecordingError
+from retuner.drivers.recorded.recording import RecordingError, open_parquet
 from retuner.schedule.late_dataclass import dataclass
 
 MOST_ROWS = 1 << 20  # rows of a piece: four months at ten seconds; the memory of a piece is some hundred bytes a row
@@ -30,24 +29,9 @@ class ParquetShape:
     folder_signal: str
 
 
-@contextmanager
-def _opened(path: Path) -> Iterator[Any]:
-    try:
-        arrow, parquet = import_module("pyarrow"), import_module("pyarrow.parquet")
-    except ImportError:
-        raise RecordingError(f'{path}: reading Parquet needs pyarrow; pip install "retuner[parquet]"') from None
-    if not path.is_file():
-        raise RecordingError(f"{path}: no such file; give a record as text or Parquet")
-    try:
-        with parquet.ParquetFile(path, memory_map=True) as file:
-            yield file
-    except (OSError, arrow.ArrowException) as error:
-        raise RecordingError(f"{path}: not a Parquet file that can be read: {str(error).splitlines()[0]}") from error
-
-
 def parquet_shape(path: Path) -> ParquetShape:
     """What a Parquet file holds. Raises RecordingError: the file cannot be read, or pyarrow is not installed."""
-    with _opened(path) as file:
+    with open_parquet(path) as file:
         return ParquetShape(tuple(file.schema_arrow.names), file.metadata.num_rows, signal_of_folder(path))
 
 
@@ -70,7 +54,7 @@ def tables_of_parquet(
 
     Raises RecordingError: the file cannot be read, or pyarrow is not installed.
     """
-    with _opened(path) as file:
+    with open_parquet(path) as file:
         schema = file.schema_arrow
         tag, value = (_place(role, schema.names, form) for role in ("tag", "value"))
         if tag and value and not any({"pv", "co"} & roles.keys() for roles in _loops(schema.names, form).values()):
@@ -157,7 +141,7 @@ def long_names(path: Path, form: RecordForm) -> list[str]:
 
     Raises RecordingError: the file cannot be read, or pyarrow is not installed.
     """
-    with _opened(path) as file:
+    with open_parquet(path) as file:
         tag = _place("tag", file.schema_arrow.names, form)
         return _distinct(file, tag) if tag else []
 

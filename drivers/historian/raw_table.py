@@ -18,7 +18,7 @@ from retuner.adaptive.signals.sample import FloatArray
 from retuner.drivers.historian.assumption import Assumption, quoted
 from retuner.drivers.historian.record_form import DELIMITERS, RecordForm
 from retuner.drivers.historian.tags import TIME_UNIT, known_roles
-from retuner.drivers.recorded.recording import SIZE_MAX, RecordingError
+from retuner.drivers.recorded.recording import SIZE_MAX, RecordingError, size_of
 from retuner.schedule.late_dataclass import dataclass, field
 
 Column = Sequence[str] | FloatArray | npt.NDArray[np.datetime64]
@@ -84,10 +84,16 @@ def text_table(path: Path, text: str, assumed: tuple[Assumption, ...], form: Rec
     lines = [(i, line.lstrip("# ")) for i, line in enumerate(text.splitlines(), start=1) if line.strip("# ")]
     if not lines:
         raise RecordingError(f"{path}: is empty; give a record with time, pv and co")
-    delimiter = DELIMITERS.get(form.delimiter) or _delimiter([line for _, line in _sample(lines)])
+    # lines from the middle and the end: rows, whatever stands before them
+    half = LOOKED_AT // 2
+    some = lines if len(lines) <= LOOKED_AT else [*lines[len(lines) // 2 :][:half], *lines[-half:]]
+    delimiter = DELIMITERS.get(form.delimiter) or _delimiter([line for _, line in some])
     rows = [(number, _fields(path, number, line, delimiter)) for number, line in lines]
     rows = [(number, fields) for number, fields in rows if any(field.strip() for field in fields)]
-    rows = _without_empty_columns(rows) if form.header != 0 else rows
+    used = {i for _, fields in rows for i, field in enumerate(fields) if field.strip()}
+    if form.header != 0 and len(used) < max(len(fields) for _, fields in rows):
+        # columns in which nothing stands anywhere, as between two delimiters where one would do
+        rows = [(number, [field for i, field in enumerate(fields) if i in used]) for number, fields in rows]
     header, body, cut = _shape(path, rows, form)
     assumed += cut
     width = len(body[0][1])
@@ -98,19 +104,24 @@ def text_table(path: Path, text: str, assumed: tuple[Assumption, ...], form: Rec
     columns = tuple(zip(*(fields for _, fields in body), strict=True))
     kept = set(form.columns.values())
     called = tuple(name if name in kept else form.called(name) for name in names)
-    return RawTable(str(path), called, columns, [f":{number}" for number, _ in body], assumed, _time_units(header))
+    # units of time stand in the lines before the rows that hold not the names
+    beside = [(i, text.strip("[]() ").lower()) for row in header if row is not best for i, text in enumerate(row)]
+    units = {place: TIME_UNIT[unit] for place, unit in beside if unit in TIME_UNIT}
+    return RawTable(str(path), called, columns, [f":{number}" for number, _ in body], assumed, units)
 
 
 def decoded(path: Path, form: RecordForm, most_bytes: int | None = None) -> tuple[str, tuple[Assumption, ...]]:
     """The file as text: by its mark, else as UTF-8 where it is that, else by its bytes as Windows writes them."""
     try:
-        if path.is_file() and path.stat().st_size > SIZE_MAX:
+        size = size_of(path, "a record as text or Parquet")
+        if size > SIZE_MAX:
             raise RecordingError(f"{path}: larger than {SIZE_MAX} bytes; cut the record into pieces")
-        data = _read(path, most_bytes) if path.is_file() else None
-    except (OSError, ValueError) as error:
+        with path.open("rb") as stream:
+            data = stream.read(-1 if most_bytes is None else most_bytes)
+    except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error}") from error
-    if data is None:
-        raise RecordingError(f"{path}: no such file; give a record as text or Parquet")
+    if len(data) < size:  # whole lines only
+        data = data[: data.rfind(b"\n") + 1] or data
     for encoding, assumed in _encodings(data, form):
         try:
             return data.decode(encoding), assumed
@@ -120,15 +131,6 @@ def decoded(path: Path, form: RecordForm, most_bytes: int | None = None) -> tupl
                     f"{path}: byte {error.start} is no {form.encoding}; give the right encoding"
                 ) from error
     raise AssertionError("any bytes are Latin-1")
-
-
-def _read(path: Path, most_bytes: int | None) -> bytes:
-    """The file's bytes; of a begin whole lines only."""
-    if most_bytes is None or path.stat().st_size <= most_bytes:
-        return path.read_bytes()
-    with path.open("rb") as stream:
-        begin = stream.read(most_bytes)
-    return begin[: begin.rfind(b"\n") + 1] or begin
 
 
 def _encodings(data: bytes, form: RecordForm) -> list[tuple[str, tuple[Assumption, ...]]]:
@@ -141,12 +143,6 @@ def _encodings(data: bytes, form: RecordForm) -> list[tuple[str, tuple[Assumptio
         known.insert(0, ("utf-16-le", (Assumption("read as UTF-16", 'encoding = "utf-16-le"'),)))
     latin = "latin-1"
     return [*known, (latin, (Assumption("not UTF-8: read as Latin-1", f'encoding = "{latin}"'),))]
-
-
-def _sample(lines: list[tuple[int, str]]) -> list[tuple[int, str]]:
-    """Lines from the middle and the end: rows, whatever stands before them."""
-    half = LOOKED_AT // 2
-    return lines if len(lines) <= LOOKED_AT else [*lines[len(lines) // 2 :][:half], *lines[-half:]]
 
 
 def without_status(field: str) -> str:
@@ -188,21 +184,12 @@ def _fields(path: Path, number: int, line: str, delimiter: str) -> list[str]:
         raise RecordingError(f"{path}:{number}: quoting: {error}; close the quote on its line") from error
 
 
-Rows = list[tuple[int, list[str]]]
-
-
-def _without_empty_columns(rows: Rows) -> Rows:
-    """The rows without columns in which nothing stands anywhere, as between two delimiters where one would do."""
-    width = max(len(fields) for _, fields in rows)
-    used = {i for _, fields in rows for i, field in enumerate(fields) if field.strip()}
-    if len(used) == width:
-        return rows
-    return [(number, [field for i, field in enumerate(fields) if i in used]) for number, fields in rows]
-
-
 def _is_row(fields: Sequence[str]) -> bool:
     values = [bool(VALUE.fullmatch(without_status(field))) for field in fields]
     return any(values) and sum(map(is_value, fields)) >= len(fields) / 2
+
+
+Rows = list[tuple[int, list[str]]]  # fields of each line, by its number
 
 
 def _shape(path: Path, rows: Rows, form: RecordForm) -> tuple[list[list[str]], Rows, tuple[Assumption, ...]]:
@@ -244,16 +231,8 @@ def _refuse_shifted(path: Path, before: Rows, body: Rows, width: int) -> None:
             )
 
 
-def _time_units(candidates: list[list[str]]) -> dict[int, str]:
-    """Units of time in the lines before the rows that hold not the names."""
-    others = [row for row in candidates if row is not max(candidates, key=known_roles)]
-    fields = [(place, text.strip("[]() ").lower()) for row in others for place, text in enumerate(row)]
-    return {place: TIME_UNIT[unit] for place, unit in fields if unit in TIME_UNIT}
-
-
-def repeated(table: RawTable, place: int) -> RecordingError | None:
-    """The refusal of a column whose name stands twice."""
+def refuse_repeated(table: RawTable, place: int) -> None:
+    """Refuse a column whose name stands twice."""
     name = table.names[place]
     if table.names.count(name) > 1:
-        return RecordingError(f"{table.source}: two columns are called {quoted(name)}; rename one")
-    return None
+        raise RecordingError(f"{table.source}: two columns are called {quoted(name)}; rename one")

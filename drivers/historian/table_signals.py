@@ -16,7 +16,7 @@ from retuner.adaptive.indexes.days import GAP
 from retuner.adaptive.signals.sample import FloatArray, all_finite, median
 from retuner.drivers.historian.assumption import Assumption, quoted
 from retuner.drivers.historian.cells import decimal_mark, good, numbers, unit_beside
-from retuner.drivers.historian.raw_table import VALUE, RawTable, repeated
+from retuner.drivers.historian.raw_table import VALUE, RawTable, refuse_repeated
 from retuner.drivers.historian.record_form import SIGNALS, RecordForm
 from retuner.drivers.historian.reshaped import unpaired
 from retuner.drivers.historian.row_order import OneSignal, in_order
@@ -39,6 +39,7 @@ OWN_WORDS: Mapping[str, frozenset[str]] = MappingProxyType(
 """What control systems call a signal itself, beside which a read-back or a target may stand."""
 TICKS = MappingProxyType({"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9})  # seconds by the unit that moments are kept in
 SILENT = frozenset({"sp", "pv", "co"})  # column names that need no telling
+HALF = 0.49  # share of rows that repeat the row before, from which a table was written twice
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,11 +126,10 @@ def _signal_places(
             place = _column(table, role, form, _plainest(table, role, roles.get(role, []), form))
             if place is not None:
                 places.setdefault(tag, {})[role] = place
-                _refuse_repeated(table, place)
-    for wanted in places.values():
-        wanted |= {name: table.names.index(name) for name in form.others if name in table.names}
-    # a table of further columns alone, as one of a file or a message: they belong to every loop
+                refuse_repeated(table, place)
     beside = {name: table.names.index(name) for name in form.others if name in table.names}
+    places = {tag: wanted | beside for tag, wanted in places.items()}
+    # a table of further columns alone, as one of a file or a message: they belong to every loop
     return places or ({"": beside} if beside else _by_file_name(table, found, form))
 
 
@@ -145,12 +145,6 @@ def _plainest(table: RawTable, role: str, places: Sequence[int], form: RecordFor
         both = " or ".join(quoted(table.names[place]) for place in places[:3])
         raise RecordingError(f"{table.source}: {role} may be {both}; say --columns {role}=NAME")
     return plain
-
-
-def _refuse_repeated(table: RawTable, place: int) -> None:
-    error = repeated(table, place)
-    if error is not None:
-        raise error
 
 
 def _by_file_name(
@@ -174,25 +168,16 @@ def _clock(
         rows = np.arange(len(table.places))
         return _Clock(rows, (rows * form.dt_s).astype(np.float64), as_they_stand=True), []
     stamps = _stamps(table, found, form, decimal)
-    if (again := _written_twice(table, stamps.t_s)).any():
+    again = np.r_[False, np.diff(stamps.t_s) == 0]
+    repeats = np.flatnonzero(again).tolist()
+    # samples are not so alike throughout
+    twice = np.mean(again) >= HALF and all(column[i] == column[i - 1] for column in table.columns for i in repeats)
+    if twice:
         stamps = replace(stamps, t_s=np.where(again, np.nan, stamps.t_s))
     rows, t_s, told = in_order(stamps.t_s, table.source)
-    if again.any():
-        told[0] = Assumption(f"{int(np.sum(again))} rows that repeat the row before: left out")
+    if twice:
+        told[0] = Assumption(f"{len(repeats)} rows that repeat the row before: left out")
     return _Clock(rows, t_s, t_s is stamps.t_s), [*stamps.assumed, *told]
-
-
-def _written_twice(table: RawTable, t_s: FloatArray) -> np.ndarray:
-    """Rows that repeat the row before, where each row is there twice or more: samples are not so alike throughout."""
-    again = np.r_[False, np.diff(t_s) == 0]
-    if np.mean(again) < HALF:
-        return np.zeros(len(t_s), dtype=bool)
-    rows = np.flatnonzero(again).tolist()
-    alike = all(column[i] == column[i - 1] for column in table.columns for i in rows)
-    return again if alike else np.zeros(len(t_s), dtype=bool)
-
-
-HALF = 0.49  # share of rows that repeat the row before, from which a table was written twice
 
 
 def _stamps(
@@ -213,7 +198,7 @@ def _stamps(
             f'{table.source}: no column "t"; there is {", ".join(table.names[:12])}; name it as in --columns t=NAME, '
             "or give --dt, the seconds between rows"
         )
-    _refuse_repeated(table, place)
+    refuse_repeated(table, place)
     if "t" not in form.columns:
         several = len({named(table.names[place]).tag for place in times}) > 1
         clocks = [[str(field).strip() for field in table.columns[place]] for place in times] if several else []
@@ -225,7 +210,9 @@ def _stamps(
     if isinstance(column, np.ndarray) and column.dtype.kind == "M":
         return Stamps(_seconds(column))
     text = [] if isinstance(column, np.ndarray) else [field.strip() for field in column]
-    if text and _written_out(text):
+    some = [field.replace(",", ".") for field in text[:: max(1, len(text) // 20)] if field]
+    written_out = all(DIGITS.fullmatch(field) for field in some) or not all(NUMBER.fullmatch(field) for field in some)
+    if text and written_out:  # dates and times, and no count of seconds
         apart = table.columns[date] if date is not None and "-" not in text[0] and text[0].count(":") else None
         return from_text(text, [str(d) for d in apart] if apart is not None else None, form, table.source, begins)
     name, beside = table.names[place], table.time_units.get(place, "")
@@ -244,12 +231,6 @@ def _seconds(moments: npt.NDArray[Any]) -> FloatArray:
     t_s: FloatArray = moments.view(np.int64) / (TICKS[unit] / many)
     missing = np.isnat(moments)
     return np.where(missing, np.nan, t_s) if missing.any() else t_s
-
-
-def _written_out(fields: Sequence[str]) -> bool:
-    """Whether stamps are dates and times, as text or in digits, and no count of seconds."""
-    some = [field.replace(",", ".") for field in fields[:: max(1, len(fields) // 20)] if field]
-    return all(DIGITS.fullmatch(field) for field in some) or not all(NUMBER.fullmatch(field) for field in some)
 
 
 def _by_content(table: RawTable) -> int | None:
@@ -366,10 +347,7 @@ def _stored_by_exception(table: RawTable, place: int) -> bool:
 
 
 def _long(table: RawTable, plain: Mapping[str, list[int]], form: RecordForm, told: list[Assumption]) -> TableSignals:
-    tag_at, value_at = (
-        _column(table, "tag", form, plain.get("tag", [])),
-        _column(table, "value", form, plain.get("value", [])),
-    )
+    tag_at, value_at = (_column(table, role, form, plain.get(role, [])) for role in ("tag", "value"))
     assert tag_at is not None
     assert value_at is not None
     tags = np.array([str(field).strip() for field in table.columns[tag_at]])

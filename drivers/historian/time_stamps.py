@@ -148,16 +148,18 @@ def _other_zone(text: str) -> str:
 
 
 def _of_usual_forms(texts: list[str], form: RecordForm, source: str, begins: Sequence[int]) -> Stamps:
+    rows = [text for text in texts if text]
     fitting: dict[str, FloatArray] = {}
-    for date in DATES:
-        if not _fits_sample(texts, date):
-            continue
+    for date in DATES if rows else ():
+        reader = _reader(date)
         try:
-            fitting[date] = _timed(texts, _reader(date), form, source, begins)
+            for text in rows[:: max(1, len(rows) // 20)]:  # most forms fail here already
+                reader(text)
+            fitting[date] = _timed(texts, reader, form, source, begins)
         except _UnfitError:
             continue
     if not fitting:
-        shown = next((text for text in texts if text), "")
+        shown = rows[0] if rows else ""
         row = _first_unfit(texts)
         if row:
             raise RecordingError(
@@ -167,46 +169,32 @@ def _of_usual_forms(texts: list[str], form: RecordForm, source: str, begins: Seq
         raise RecordingError(
             f"{source}: time {shown[:40]!a} has an unknown format; give --time-format, for example %d.%m.%Y %H:%M:%S"
         )
-    (first, times), *others = _without_months_left_out(_nearest_years(fitting)).items()
+    (first, times), *others = _without_misread_days(fitting).items()
     whole = quoted(_whole(first, texts[0]))
     for other, elsewhere in others:
         if not np.allclose(elsewhere - elsewhere[0], times - times[0], atol=1e-3, equal_nan=True):
             raise RecordingError(f"{source}: {texts[0][:40]!a} may be {first} or {other}; give --time-format {whole}")
-    lettered = sorted({zone for text in texts if (zone := _letters(text))})
+    clocks = [TIME_OF_DAY.search(text) for text in texts]
+    lettered = sorted({clock["zone"] for clock in clocks if clock and clock["zone"] in ZONES} - {"Z", "UTC", "GMT"})
     if lettered:  # strptime knows no such zone, so there is no format to fix it with
         hours = ", ".join(f"{zone} as UTC{ZONES[zone]:+g} h" for zone in lettered)
         return Stamps(times, (Assumption(f"time as {first} and the time of day, {hours}"),))
     return Stamps(times, (Assumption(f"time as {first} and the time of day", f"time_format = {whole}"),))
 
 
-def _letters(text: str) -> str:
-    """The letters of a zone behind a stamp, but for UTC's own."""
-    found = TIME_OF_DAY.search(text)
-    zone = str(found["zone"] or "") if found else ""
-    return zone if zone in ZONES and zone not in {"Z", "UTC", "GMT"} else ""
-
-
-def _nearest_years(fitting: dict[str, FloatArray]) -> dict[str, FloatArray]:
-    """The forms without those that take days for years: with the year at the wrong end a night lasts a year."""
-
-    def span(forms: Sequence[str]) -> float:
-        return min((float(np.ptp(fitting[f][np.isfinite(fitting[f])])) for f in forms), default=math.inf)
-
-    first = [form for form in fitting if form.startswith("%y")]
-    last = [form for form in fitting if form not in first]
-    if span(first) == span(last):
-        return fitting
-    return {form: fitting[form] for form in (first if span(first) < span(last) else last)}
-
-
-def _without_months_left_out(fitting: dict[str, FloatArray]) -> dict[str, FloatArray]:
-    """The forms without those that take days for months: of rows within the hour, a midnight then lasts a month."""
+def _without_misread_days(fitting: dict[str, FloatArray]) -> dict[str, FloatArray]:
+    """The forms without those that take days for years, or for months, by which a night would last as long."""
     known = {form: t_s[np.isfinite(t_s)] for form, t_s in fitting.items()}
     spans = {form: float(np.ptp(t_s)) for form, t_s in known.items()}
+    first, last = (
+        min((span for form, span in spans.items() if form.startswith("%y") == at_first), default=math.inf)
+        for at_first in (True, False)
+    )
+    if first != last:
+        spans = {form: span for form, span in spans.items() if form.startswith("%y") == (first < last)}
     nearest = min(spans, key=lambda form: spans[form])
-    if len(known[nearest]) < SHOWN or median(np.abs(np.diff(known[nearest]))) > HOUR_S:
-        return fitting
-    return {form: t_s for form, t_s in fitting.items() if spans[form] <= MONTHS_LEFT_OUT * spans[nearest]}
+    rare = len(known[nearest]) < SHOWN or median(np.abs(np.diff(known[nearest]))) > HOUR_S
+    return {form: fitting[form] for form, span in spans.items() if rare or span <= MONTHS_LEFT_OUT * spans[nearest]}
 
 
 def _first_unfit(texts: Sequence[str]) -> int:
@@ -238,17 +226,6 @@ class _UnfitError(ValueError):
     """A form does not fit a row."""
 
 
-def _fits_sample(texts: Sequence[str], date: str) -> bool:
-    reader = _reader(date)
-    rows = [text for text in texts if text]
-    try:
-        for text in rows[:: max(1, len(rows) // 20)]:
-            reader(text)
-    except _UnfitError:
-        return False
-    return bool(rows)
-
-
 def _reader(date: str) -> Callable[[str], datetime]:
     """A reader of stamps whose date has this form; the days that were read are kept."""
     days: dict[str, datetime] = {}
@@ -277,18 +254,15 @@ def _at(day: datetime, clock: re.Match[str]) -> datetime:
     fraction = float(f"0.{clock['f']}") if clock["f"] else 0.0
     if hour > 24 or minute > 59 or second > 60 or (hour == 24 and minute + second + fraction > 0):
         raise _UnfitError(clock[0])
+    zone = clock["zone"]
     try:
         moment = day + timedelta(hours=hour, minutes=minute, seconds=second + fraction)
-        return moment.replace(tzinfo=_zone(clock["zone"])) if clock["zone"] else moment
+        if not zone:
+            return moment
+        hours, minutes = (ZONES[zone], 0) if zone in ZONES else (int(zone[:3]), int(zone[0] + zone[-2:]))
+        return moment.replace(tzinfo=timezone(timedelta(hours=hours, minutes=minutes)))
     except (OverflowError, ValueError):
         raise _UnfitError(clock[0]) from None
-
-
-def _zone(text: str) -> timezone:
-    if text[0] not in "+-":
-        return timezone(timedelta(hours=ZONES[text]))
-    offset = timedelta(hours=int(text[1:3]), minutes=int(text[-2:]))
-    return timezone(-offset if text[0] == "-" else offset)
 
 
 def _digits(text: str) -> datetime:

@@ -21,7 +21,7 @@ from retuner.drivers.host.running_set import Belief, RunningBelief
 from retuner.drivers.protocol import frames
 from retuner.drivers.protocol.codec import Codec, Refused
 from retuner.drivers.recorded.mf4 import mf4_errors, mf4_reader
-from retuner.drivers.recorded.recording import RecordingError
+from retuner.drivers.recorded.recording import RecordingError, size_of
 from retuner.drivers.telemetry.device_counter import Said
 from retuner.drivers.telemetry.sample_assembly import AssembledSample, SampleJoiner
 from retuner.drivers.telemetry.signal_source import ScheduleInputs
@@ -53,12 +53,7 @@ def read_frames(path: Path) -> Iterator[can.Message]:
     Raises RecordingError: no such file, a format that cannot be read here, or damage; the line says after how many
     frames.
     """
-    try:
-        there, size = path.is_file(), path.stat().st_size if path.is_file() else 0
-    except (OSError, ValueError) as error:
-        raise RecordingError(f"{path}: cannot be read: {error}") from error
-    if not there:
-        raise RecordingError(f"{path}: no such file; give a log of bus traffic ({', '.join(SUFFIXES)})")
+    size = size_of(path, f"a log of bus traffic ({', '.join(SUFFIXES)})")
     if not is_frame_log(path):
         raise RecordingError(f"{path}: not a format of bus traffic; give {', '.join(SUFFIXES)}")
     if size > SIZE_MAX:
@@ -116,8 +111,7 @@ class Overhearing:
         self._codec = Codec(node)
         self._reader = PageReader()
         self._belief = RunningBelief(node)
-        self._joiner = SampleJoiner(sample_time_s, variable, node)
-        self._joiner.go_on_after(after_s)
+        self._joiner = SampleJoiner(sample_time_s, variable, node, after_s)
         self._sample_time_s, self._as_host = sample_time_s, as_host
         self._identified = self._connected = not as_host
         self._sample_s = 0.0

@@ -106,7 +106,7 @@ def read_columns(path: Path, names: list[str], wanted: list[str]) -> dict[str, F
 
     Raises RecordingError: the file cannot be read or is malformed: see the head of this file.
     """
-    _check_file(path)
+    _check_size(path)
     return (_read_parquet if path.suffix == ".parquet" else _read_csv)(path, names, wanted)
 
 
@@ -115,23 +115,26 @@ def column_names(path: Path) -> frozenset[str]:
 
     Raises RecordingError: the file cannot be read.
     """
-    _check_file(path)
+    _check_size(path)
     if path.suffix == ".parquet":
-        with _parquet(path) as file:
+        with open_parquet(path) as file:
             return frozenset(file.schema_arrow.names)
     number, text = next(_rows(path), (1, ""))
     return frozenset(field.strip() for field in _fields(path, number, text, max(DELIMITERS, key=text.count)))
 
 
-def _check_file(path: Path) -> None:
-    """Refuse what is no file of a sensible size before it is opened."""
+def size_of(path: Path, give: str = "a CSV or Parquet file") -> int:
+    """Bytes of a file. Raises RecordingError: it cannot be read, or is not there; give : what to name instead."""
     try:
-        there = path.is_file()
-        size = path.stat().st_size if there else 0
+        if path.is_file():
+            return path.stat().st_size
     except (OSError, ValueError) as error:
         raise RecordingError(f"{path}: cannot be read: {error}") from error
-    if not there:
-        raise RecordingError(f"{path}: no such file; give a CSV or Parquet file")
+    raise RecordingError(f"{path}: no such file; give {give}")
+
+
+def _check_size(path: Path) -> None:
+    size = size_of(path)
     if size > SIZE_MAX:
         raise RecordingError(f"{path}: {size} bytes are more than {SIZE_MAX}; cut the record into pieces")
 
@@ -209,33 +212,33 @@ def _number(path: Path, number: int, name: str, field: str) -> float:
 
 
 def _read_parquet(path: Path, names: list[str], wanted: list[str]) -> dict[str, FloatArray]:
-    with _parquet(path) as file:
+    """Columns as floats: no nulls, no text, no truth values, no infinities."""
+    with open_parquet(path) as file:
         header = list(file.schema_arrow.names)
         for name in wanted:
             if name not in header:
                 raise _missing(path, "", name, header)
         table = file.read(columns=[name for name in names if name in header])
-        return {name: _column(path, name, table.column(name).to_pylist()) for name in table.column_names}
+    columns = {name: table.column(name).to_pylist() for name in table.column_names}
+    for name, values in columns.items():
+        for row, value in enumerate(values, start=1):
+            if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+                raise RecordingError(f"{path}: row {row}: {name} = {value!r} is not a finite number")
+    return {name: np.array(values, dtype=np.float64) for name, values in columns.items()}
 
 
 @contextmanager
-def _parquet(path: Path) -> Iterator[Any]:
-    """An open Parquet file; whatever is wrong with it is one line."""
+def open_parquet(path: Path) -> Iterator[Any]:
+    """An open Parquet file. Raises RecordingError: it cannot be read, or pyarrow is not installed."""
     try:
         import pyarrow as pa  # noqa: PLC0415  an extra, loaded when wanted
         import pyarrow.parquet as pq  # noqa: PLC0415
     except ImportError:
         raise RecordingError(f'{path}: reading Parquet needs pyarrow; pip install "retuner[parquet]"') from None
+    if not path.is_file():
+        raise RecordingError(f"{path}: no such file; give a record as text or Parquet")
     try:
-        with pq.ParquetFile(path) as file:
+        with pq.ParquetFile(path, memory_map=True) as file:
             yield file
     except (OSError, pa.ArrowException) as error:
         raise RecordingError(f"{path}: not a Parquet file that can be read: {str(error).splitlines()[0]}") from error
-
-
-def _column(path: Path, name: str, values: list[object]) -> FloatArray:
-    """A Parquet column as floats: no nulls, no text, no truth values, no infinities."""
-    for row, value in enumerate(values, start=1):
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-            raise RecordingError(f"{path}: row {row}: {name} = {value!r} is not a finite number")
-    return np.array(values, dtype=np.float64)

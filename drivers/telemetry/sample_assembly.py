@@ -38,11 +38,18 @@ class SampleJoiner:
     sample_time_s : of the controller, s.
     variable : scheduling variable that goes into LoopSample.x: "sp", "pv" or "co"; or ScheduleInputs.
     node : of the device, for the CRC.
+    after_s : time of the newest sample of an earlier session, which all of this one come behind, s; None for none.
 
     Raises ValueError: no such variable.
     """
 
-    def __init__(self, sample_time_s: float, variable: str | ScheduleInputs = "sp", node: int = 1) -> None:
+    def __init__(
+        self,
+        sample_time_s: float,
+        variable: str | ScheduleInputs = "sp",
+        node: int = 1,
+        after_s: float | None = None,
+    ) -> None:
         inputs = ScheduleInputs.of(variable)
         self._sample_time_s, self._node = sample_time_s, node
         self._variable, self._variable2 = inputs.variable, inputs.variable2
@@ -50,7 +57,7 @@ class SampleJoiner:
         self._offset = 0
         self._counter = DeviceCounter()
         self.device_sample: int | None = None  # where the device's own counter stands; None while unknown
-        self._after: int | None = None  # number of a sample of an earlier session that all of this one come behind
+        self._after = None if after_s is None else round(after_s / sample_time_s)  # the earlier session's newest
         self._last: int | None = None
         self._first = 0  # the oldest sample that may be the first one
         self._said: dict[int, int] = {}
@@ -62,10 +69,6 @@ class SampleJoiner:
         self.arrivals = ArrivalCheck()
         self.running = 0  # sequence number of the set last known to run
         self.ordered: int | None = None  # and of the one that is being written
-
-    def go_on_after(self, t_s: float | None) -> None:
-        """Begin after a session that has seen samples up to this time; before the first sample."""
-        self._after = None if t_s is None else round(t_s / self._sample_time_s)
 
     def set_reference(self, sample: int) -> Said:
         """A heartbeat says that the counter stands here; what that means."""

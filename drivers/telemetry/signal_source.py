@@ -103,7 +103,13 @@ def find_signal(dbc: str, message: str, signal: str, stale_after_s: float, node:
 
     Raises DbcError: the file cannot be read, is no DBC, or has no such message or signal; the line names what it has.
     """
-    database = read_dbc(_text(dbc), dbc or PLANT_DBC)
+    try:  # DBC files are Latin-1 as often as not, names are ASCII
+        path = Path(dbc) if dbc else files("retuner.drivers").joinpath(PLANT_DBC)
+        text = path.read_text(encoding="latin-1")
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise DbcError(f"{dbc}: cannot be read: {reason}; give the DBC file that describes the signal") from None
+    database = read_dbc(text, dbc or PLANT_DBC)
     layouts = [layout for layout in database.messages if layout.name == message]
     if not layouts:
         raise DbcError(f"{dbc or PLANT_DBC}: no message {message!r}; {_there([m.name for m in database.messages])}")
@@ -114,17 +120,6 @@ def find_signal(dbc: str, message: str, signal: str, stale_after_s: float, node:
     return SignalSource(layout, signal, stale_after_s, layout.frame_id + (0 if dbc else node - 1))
 
 
-def _text(dbc: str) -> str:
-    """Text of a DBC file, or of the virtual device's; DBC files are Latin-1 as often as not, names are ASCII."""
-    if not dbc:
-        return files("retuner.drivers").joinpath(PLANT_DBC).read_text(encoding="ascii")
-    try:
-        return Path(dbc).read_text(encoding="latin-1")
-    except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise DbcError(f"{dbc}: cannot be read: {reason}; give the DBC file that describes the signal") from None
-
-
 def _there(names: Sequence[str]) -> str:
     shown = ", ".join(names[:NAMES_SHOWN]) + (", ..." if len(names) > NAMES_SHOWN else "")
     return f"there is {shown}" if names else "there is none"
@@ -132,8 +127,6 @@ def _there(names: Sequence[str]) -> str:
 
 def plant_message(node: int, aux: float) -> "can.Message":
     """The frame in which the virtual device of a node publishes its second measurement."""
-    import can  # noqa: PLC0415  see above
-
     layout = find_signal("", "PLANT", "aux", 1.0).layout
     return can.Message(arbitration_id=layout.frame_id + node - 1, is_extended_id=True, data=layout.encode({"aux": aux}))
 
@@ -205,20 +198,11 @@ class _Latest:
             self._since_s = t_s
         fresh = t_s - (self._since_s if self._heard_s is None else self._heard_s) <= self._source.stale_after_s
         if fresh != self._known:
-            self._known = fresh
-            self._news.append(self._change())
+            self._known, source = fresh, self._source
+            since = f"{'never heard' if self._heard_s is None else 'silent'} for more than {source.stale_after_s:g} s"
+            reason = "heard again" if fresh else f"{since}; the region stays, and its model is not updated until then"
+            self._news.append(VariableChanged(f"{source.layout.name}.{source.signal}", fresh, reason))
         return self._value if fresh else math.nan
-
-    def _change(self) -> VariableChanged:
-        source = self._source
-        name = f"{source.layout.name}.{source.signal}"
-        if self._known:
-            return VariableChanged(name, known=True, reason="heard again")
-        for_s = f"for more than {source.stale_after_s:g} s"
-        reason = f"never heard {for_s}" if self._heard_s is None else f"silent {for_s}"
-        return VariableChanged(
-            name, known=False, reason=f"{reason}; the region stays, and its model is not updated until then"
-        )
 
     def news(self) -> list[VariableChanged]:
         told, self._news = self._news, []
