@@ -23,10 +23,12 @@ from retuner.drivers.profiles.controller_access import (
     Started,
     Stopped,
     Told,
+    Use,
+    require_distinct,
+    units_of,
 )
-from retuner.drivers.profiles.mapping import DeviceMapping, GainAt, ObjectOf, States
-from retuner.drivers.profiles.one_meaning import Use, require_distinct
-from retuner.schedule.vendor_units import VendorGain, VendorUnits
+from retuner.drivers.profiles.mapping import DeviceMapping, ObjectOf, States
+from retuner.schedule.vendor_units import VendorGain
 
 NMT, HEARTBEAT, EMERGENCY = 0x000, 0x700, 0x080
 START = 0x01
@@ -53,13 +55,6 @@ class _ObjectPlace(NamedTuple):
     offset: float = 0.0
 
 
-class _Watch(NamedTuple):
-    """A state object. source : who tells; "" for the mode."""
-
-    states: States
-    source: str
-
-
 class CanOpenAccess:
     """See the head of this file.
 
@@ -75,7 +70,7 @@ class CanOpenAccess:
         self._sdo = SdoQueue(file.node, self._settings.reply_s)
         self._read: dict[str, _ObjectPlace] = {}
         self._written: dict[str, _ObjectPlace] = {}
-        self._watched: dict[str, _Watch] = {}
+        self._watched: dict[str, States] = {}
         self._queue: list[can.Message] = []
         self._beat_s = float("-inf")
         self._read["pv"] = self._place(mapping.pv, ("pv",))
@@ -83,19 +78,36 @@ class CanOpenAccess:
         if mapping.sp is not None:
             self._read["sp"] = self._place(mapping.sp, ("sp",))
         if mapping.mode is not None:
-            self._watch("mode", mapping.mode, "", ("mode",))
+            self._watch("mode", mapping.mode, ("mode",))
         for i, states in enumerate(mapping.stops):
-            self._watch(f"stop {i}", states, f"stop {i}", ("stop", i))
+            self._watch(f"stop {i}", states, ("stop", i))
         if mapping.setpoint is not None:
             self._written["setpoint"] = self._place(mapping.setpoint, ("setpoint",), written=True, read=False)
-        gains = [self._gain(gain, i) for i, gain in enumerate(mapping.gains)]
-        try:
-            self.units = VendorUnits(tuple(gains), mapping.pv_span, mapping.co_span, mapping.series, mapping.by_hand)
-        except ValueError as error:
-            raise ProfileError(str(error), ("gains",)) from None
+        gains = []
+        for i, gain in enumerate(mapping.gains):
+            key: Key = ("gains", str(gain.quantity))
+            variable = self._place(gain.at, key, written=True).variable
+            self._read[gain.quantity] = self._written[gain.quantity] = _ObjectPlace(variable)
+            try:
+                gains.append(VendorGain(gain.quantity, gain.scale, holds(variable), i, gain.off))
+            except ValueError as error:
+                raise ProfileError(f"object {text_of(variable)}: {error}", key) from None
+        self.units = units_of(mapping, gains)
         self.reads_back = bool(mapping.gains)
+        self.takes_setpoint = mapping.setpoint is not None
         require_distinct(self._uses(mapping), file.source)
-        self._pdos = dict(self._by_pdo())
+        # what each PDO that the device sends carries of this
+        self._pdos: dict[int, list[tuple[str, PdoEntry]]] = {}
+        places = {name: place.variable for name, place in self._read.items() if name not in self.units.names}
+        for cob, entries in file.tpdos():
+            found = [
+                (name, entry)
+                for entry in entries
+                for name, variable in places.items()
+                if (variable.index, variable.subindex) == (entry.variable.index, entry.variable.subindex)
+            ]
+            if found:
+                self._pdos[cob] = found
         carried = {name for entries in self._pdos.values() for name, _ in entries}
         self.on_request = frozenset(name for name in self._read if name not in carried) - set(self.units.names)
         self.telemetry = frozenset({"pv", "co", "sp", "mode"} & self._read.keys())
@@ -111,32 +123,8 @@ class CanOpenAccess:
         assert isinstance(at, ObjectOf)
         return _ObjectPlace(self._file.variable(at.object, key, written=written, read=read), at.scale, at.offset)
 
-    def _watch(self, name: str, states: States, source: str, key: Key) -> None:
-        self._read[name] = self._place(states.at, key)
-        self._watched[name] = _Watch(states, source)
-
-    def _gain(self, gain: GainAt, message: int) -> VendorGain:
-        key: Key = ("gains", str(gain.quantity))
-        place = self._place(gain.at, key, written=True)
-        self._read[gain.quantity] = self._written[gain.quantity] = _ObjectPlace(place.variable)
-        try:
-            return VendorGain(gain.quantity, gain.scale, holds(place.variable), message, gain.off)
-        except ValueError as error:
-            raise ProfileError(f"object {text_of(place.variable)}: {error}", key) from None
-
-    def _by_pdo(self) -> Iterable[tuple[int, list[tuple[str, PdoEntry]]]]:
-        wanted: dict[tuple[int, int], list[str]] = {}
-        for name, place in self._read.items():
-            if name not in self.units.names:
-                wanted.setdefault((place.variable.index, place.variable.subindex), []).append(name)
-        for cob, entries in self._file.tpdos():
-            found = [
-                (name, entry)
-                for entry in entries
-                for name in wanted.get((entry.variable.index, entry.variable.subindex), [])
-            ]
-            if found:
-                yield cob, found
+    def _watch(self, name: str, states: States, key: Key) -> None:
+        self._read[name], self._watched[name] = self._place(states.at, key), states
 
     def take(self, message: can.Message) -> Sequence[Told]:
         """What a frame tells: see Access."""
@@ -193,21 +181,16 @@ class CanOpenAccess:
             value = None
         if not isinstance(value, int | float) or not abs(value) < float("inf"):
             return ()
-        watch = self._watched.get(name)
-        if watch is None:
+        states = self._watched.get(name)
+        if states is None:
             place = self._read[name]
             return (Heard(name, place.scale * float(value) + place.offset),)
-        expected = watch.states.holds(value)
-        if not watch.source:
+        expected = states.holds(value)
+        if name == "mode":
             return (Heard("mode", float(expected)),)
         if expected:
-            return (NoFault(watch.source),)
-        return (Stopped(watch.states.reason or f"object {text_of(variable)} = {int(value):#x}", watch.source),)
-
-    @property
-    def takes_setpoint(self) -> bool:
-        """Whether a setpoint can be written."""
-        return "setpoint" in self._written
+            return (NoFault(name),)
+        return (Stopped(states.reason or f"object {text_of(variable)} = {int(value):#x}", name),)
 
     def polled(self, sample_time_s: float) -> str:
         """How fast what no PDO carries can be read, in a sentence; "" where all comes by PDO."""

@@ -16,18 +16,18 @@ from typing import Any, NamedTuple
 import canopen
 from canopen.objectdictionary import datatypes
 
-from retuner.drivers.profiles.controller_access import ProfileError
+from retuner.drivers.profiles.controller_access import ProfileError, description
 from retuner.schedule.vendor_units import SINGLE_MAX, StorableNumbers
 
 Key = tuple[str | int, ...]
 Variable = canopen.objectdictionary.ODVariable
 Dictionary = canopen.objectdictionary.ObjectDictionary
-LARGEST = 16 << 20  # bytes
 WIDEST = 8  # bytes of a number
 EXACT_BITS = 53  # whole numbers of more bits are no longer told apart as floats
 COMMUNICATION, MAPPING = 0x1800, 0x1A00
 PDOS = 512
 DISABLED = 1 << 31  # bit of a PDO's COB-ID
+NO_PART = 256  # a sub-index that no object has
 PARSING_ERRORS = (
     configparser.Error, canopen.ObjectDictionaryError, ValueError, LookupError, TypeError, ArithmeticError,
     AttributeError, OSError, RecursionError, AssertionError,
@@ -50,15 +50,7 @@ def read_eds(path: Path, node: int) -> Dictionary:
 
     Raises ProfileError: the file cannot be read, or is no EDS.
     """
-    try:
-        with path.open("rb") as stream:
-            raw = stream.read(LARGEST + 1)
-    except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise ProfileError(f"{path}: cannot be read: {reason}; give the device's EDS file", ("eds",)) from None
-    if len(raw) > LARGEST:
-        raise ProfileError(f"{path}: is larger than {LARGEST >> 20} MB; is it an EDS?", ("eds",))
-    text = _decoded(raw).replace("\r\n", "\n").replace("\r", "\n").rstrip(END_OF_FILE)
+    text = _decoded(description(path, "EDS")).replace("\r\n", "\n").replace("\r", "\n").rstrip(END_OF_FILE)
     text = NO_RATE.sub("", text)
     there = {index.upper() for index in WHOLE.findall(text)}
     file = io.StringIO(PART.sub(lambda found: _with_object(found, there), text))
@@ -110,25 +102,27 @@ class EdsFile:
             number = index if index in self.dictionary else name
         entry = self.dictionary.get(number)
         if entry is None:
-            raise ProfileError(f"{self.source}: no object {name!r}; {self._there(number)}", key)
+            known = sorted(entry.index for entry in self.dictionary.values())
+            if isinstance(number, int):
+                known.sort(key=lambda index: abs(index - number))
+            there = ", ".join(f"{index:04X}" for index in sorted(known[:6]))
+            raise ProfileError(f"{self.source}: no object {name!r}; there is {there}", key)
         if isinstance(entry, Variable):
             return entry
         if not sub:
             subs = ", ".join(f"{i} ({entry[i].name})" for i in list(entry)[1:9])
             raise ProfileError(f"{self.source}: object {index} has parts; name one: {index}:{subs}", key)
-        count, part = self._value(entry, 0), _part(sub)
+        try:  # decimal or 0x
+            part = int(sub, 16 if sub.lower().startswith("0x") else 10)
+        except ValueError:
+            part = NO_PART
+        count = self._value(entry, 0)
         invented = count is not None and part > count
         found: Variable | None = None if invented else entry.get(part)  # the package invents parts of arrays
         if found is None:
             there = ", ".join(str(i) for i in entry)
             raise ProfileError(f"{self.source}: object {index} has no part {sub!r}; there is {there}", key)
         return found
-
-    def _there(self, number: int | str) -> str:
-        known = sorted(entry.index for entry in self.dictionary.values())
-        if isinstance(number, int):
-            known.sort(key=lambda index: abs(index - number))
-        return "there is " + ", ".join(f"{index:04X}" for index in sorted(known[:6]))
 
     def tpdos(self) -> Iterator[tuple[int, list[PdoEntry]]]:
         """COB-ID and content of each PDO that the device sends, by the EDS."""
@@ -139,22 +133,18 @@ class EdsFile:
             cob, count = self._value(communication, 1), self._value(mapping, 0)
             if cob is None or cob & DISABLED or not count:
                 continue
-            entries = list(self._entries(mapping, count))
+            entries, first = list[PdoEntry](), 0
+            for sub in range(1, min(count, 64) + 1):
+                entry = self._value(mapping, sub)
+                if not entry:
+                    break
+                bits = entry & 0xFF
+                variable = self.dictionary.get_variable(entry >> 16, entry >> 8 & 0xFF)
+                if variable is not None:  # an object that the EDS does not know is passed over with its bits
+                    entries.append(PdoEntry(variable, first, bits))
+                first += bits
             if entries:
                 yield cob & 0x7FF, entries
-
-    def _entries(self, mapping: Any, count: int) -> Iterator[PdoEntry]:  # noqa: ANN401  as _value
-        """What a PDO carries; objects that the EDS does not know are passed over with their bits."""
-        first = 0
-        for sub in range(1, min(count, 64) + 1):
-            entry = self._value(mapping, sub)
-            if not entry:
-                return
-            index, part, bits = entry >> 16, entry >> 8 & 0xFF, entry & 0xFF
-            variable = self.dictionary.get_variable(index, part)
-            if variable is not None:
-                yield PdoEntry(variable, first, bits)
-            first += bits
 
     def _value(self, record: Any, sub: int) -> int | None:  # noqa: ANN401  record, array or variable of the package
         """The value that the file gives a part: a DCF's parameter value, else the default."""
@@ -164,14 +154,6 @@ class EdsFile:
             return None
         value = part.value if part.value is not None else part.default
         return value if isinstance(value, int) else None
-
-
-def _part(sub: str) -> int:
-    """A sub-index as people write it, decimal or 0x; one that nothing has for what is no number."""
-    try:
-        return int(sub, 16 if sub.lower().startswith("0x") else 10)
-    except ValueError:
-        return 256
 
 
 def text_of(variable: Variable) -> str:

@@ -100,17 +100,16 @@ class SdoQueue:
         self._segments = self._next = None
         self._open = self._waiting.popleft() if self._waiting else None
         self._deadline_s = now_s + self._reply_s
-        return [] if self._open is None else [self._frame(self._open)]
-
-    def _frame(self, transfer: Transfer) -> can.Message:
-        data, variable = transfer.data, transfer.variable
+        if self._open is None:
+            return []
+        data, variable = self._open.data, self._open.variable
         if data is not None and len(data) > IN_ONE:
             self._segments = _Segments(data)
             command, data = DOWNLOAD | SIZED, len(data).to_bytes(4, "little")
         else:
             command = UPLOAD if data is None else DOWNLOAD | (IN_ONE - len(data)) << 2 | EXPEDITED | SIZED
         place = bytes([command]) + variable.index.to_bytes(2, "little") + bytes([variable.subindex])
-        return self._message(place + (data or b"").ljust(4, b"\0"))
+        return [self._message(place + (data or b"").ljust(4, b"\0"))]
 
     def _message(self, data: bytes) -> can.Message:
         return can.Message(arbitration_id=0x600 + self._node, is_extended_id=False, data=data)
@@ -120,8 +119,11 @@ class SdoQueue:
         data, transfer = bytes(message.data), self._open
         if message.arbitration_id != 0x580 + self._node or len(data) != 8:
             return None
-        if transfer is not None and self._segments is not None and data[0] != ABORT and not self._begins(data):
-            return self._segment(transfer, self._segments, data)
+        segments = self._segments
+        if transfer is not None and segments is not None and data[0] != ABORT:
+            begins = transfer.data is not None and not segments.at and data[0] == DOWNLOADED  # before the first segment
+            if not begins:
+                return self._segment(transfer, segments, data)
         if transfer is None or not _is_about(transfer, data):
             if self._last is not None and _is_about(self._last[0], data) and self._last[1] != data:
                 self.doubled = self._last[0].name
@@ -130,8 +132,8 @@ class SdoQueue:
             return self._ended(SdoAnswer(transfer, None, abort_text(int.from_bytes(data[4:8], "little"))), data)
         command = data[0] & COMMAND
         if transfer.data is not None:
-            if command == DOWNLOADED and self._segments is not None:
-                self._go_on(self._segments.down())
+            if command == DOWNLOADED and segments is not None:
+                self._go_on(segments.down())
                 return None
             return self._ended(SdoAnswer(transfer, None, ""), data) if command == DOWNLOADED else None
         if command != UPLOADED:
@@ -142,13 +144,6 @@ class SdoQueue:
             return None
         size = 4 - (data[0] >> 2 & 3) if data[0] & SIZED else len(transfer.variable) // 8
         return self._ended(SdoAnswer(transfer, data[4 : 4 + size], ""), data)
-
-    def _begins(self, data: bytes) -> bool:
-        """Whether an answer is the one before the first segment of a write."""
-        transfer, segments = self._open, self._segments
-        assert transfer is not None
-        assert segments is not None
-        return transfer.data is not None and not segments.at and data[0] == DOWNLOADED
 
     def _segment(self, transfer: Transfer, segments: _Segments, data: bytes) -> SdoAnswer | None:
         writes = transfer.data is not None

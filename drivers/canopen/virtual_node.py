@@ -5,7 +5,7 @@ that shares nothing with it.
 """
 
 from contextlib import suppress
-from typing import Any
+from typing import Any, cast
 
 import can
 import canopen
@@ -65,20 +65,16 @@ class VirtualCanOpenNode:
         self.units: VendorUnits = CanOpenAccess(file, mapping).units
         self._file, self._mapping = file, mapping
         self._network = _OffLine()
-        self.node: Any = canopen.LocalNode(file.node, file.dictionary)
+        self.node = cast("Any", canopen.LocalNode(file.node, file.dictionary))
         self.node.associate_network(self._network)
         self.refused = self._samples = 0
-        self._begin()
-
-    def _begin(self) -> None:
-        """State after power-on: gains as the loop has them, boot-up sent, then operational or waiting for the start."""
-        numbers = self.units.numbers(self.loop.settings.gains)
-        for gain in self._mapping.gains:
-            self._put(gain.at, numbers[gain.quantity])
-        self.numbers = dict(numbers)
-        self.loop.take_gains(self.units.of(numbers))
-        if self._mapping.setpoint is not None:
-            self._put(self._mapping.setpoint, self.loop.sp)
+        # state after power-on: gains as the loop has them, boot-up sent, then operational or waiting for the start
+        self.numbers = dict(self.units.numbers(loop.settings.gains))
+        for gain in mapping.gains:
+            self._put(gain.at, self.numbers[gain.quantity])
+        loop.take_gains(self.units.of(self.numbers))
+        if mapping.setpoint is not None:
+            self._put(mapping.setpoint, loop.sp)
         self._publish()
         self.node.add_write_callback(self._on_write)
         self.node.tpdo.read(from_od=True)
@@ -157,17 +153,14 @@ class VirtualCanOpenNode:
         for gain in self._mapping.gains:
             variable, _ = self._variable(gain.at)
             if (variable.index, variable.subindex) == (index, subindex):
-                self._take_gain(str(gain.quantity), float(value))
+                new = {**self.numbers, str(gain.quantity): float(value)}
+                try:
+                    self.loop.take_gains(self.units.of(new))
+                except ValueError as error:
+                    self.refused += 1
+                    raise canopen.SdoAbortedError(0x06090030) from error
+                self.numbers = new
         if self._mapping.setpoint is not None:
             variable, place = self._variable(self._mapping.setpoint)
             if (variable.index, variable.subindex) == (index, subindex):
                 self.loop.sp = place.scale * float(value) + place.offset
-
-    def _take_gain(self, name: str, number: float) -> None:
-        new = {**self.numbers, name: number}
-        try:
-            self.loop.take_gains(self.units.of(new))
-        except ValueError as error:
-            self.refused += 1
-            raise canopen.SdoAbortedError(0x06090030) from error
-        self.numbers = new

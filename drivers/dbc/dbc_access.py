@@ -11,13 +11,22 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 import can
 
 from retuner.drivers.dbc.dbc_file import DbcFile, Key, SignalPlace, defaults
-from retuner.drivers.dbc.frame_guard import FrameGuard, guard_of
-from retuner.drivers.profiles.controller_access import Alive, Heard, NoFault, ProfileError, Stopped, Told
-from retuner.drivers.profiles.mapping import Ask, DeviceMapping, GainAt, SignalOf, States
-from retuner.drivers.profiles.one_meaning import Use, require_distinct
+from retuner.drivers.dbc.frame_guard import FrameGuard, data_frame, guard_of
+from retuner.drivers.profiles.controller_access import (
+    Alive,
+    Heard,
+    NoFault,
+    ProfileError,
+    Stopped,
+    Told,
+    Use,
+    require_distinct,
+    units_of,
+)
+from retuner.drivers.profiles.mapping import Ask, DeviceMapping, SignalOf, States
 from retuner.drivers.telemetry.signal_source import DECODING_ERRORS
 from retuner.schedule.late_dataclass import dataclass
-from retuner.schedule.vendor_units import VendorGain, VendorUnits
+from retuner.schedule.vendor_units import VendorGain
 
 Slot = tuple[int, int | None]  # identifier of a message and page of it: what one frame carries
 
@@ -40,17 +49,7 @@ class AskFrame:
 
     def message(self, guard: FrameGuard | None) -> can.Message:
         """The frame."""
-        values = dict(self.values)
-        if guard is not None:
-            guard.count(values)
-        layout = self.place.layout
-        data = layout.encode(values, scaling=True, padding=False, strict=False)
-        return can.Message(
-            arbitration_id=self.place.frame_id,
-            is_extended_id=layout.is_extended_frame,
-            is_fd=layout.is_fd,
-            data=guard.sealed(data) if guard is not None else data,
-        )
+        return data_frame(self.place.layout, self.place.frame_id, dict(self.values), guard)
 
     def is_asked_by(self, message: can.Message) -> bool:
         """Whether a frame says the same in the signals that were given values."""
@@ -99,27 +98,38 @@ class DbcAccess:
         self._queue: list[can.Message] = []
         self._last: dict[Slot, dict[str, float]] = {}
         self.damaged = 0  # frames refused for their checksum, counter or content
-        mapping, names = self._mapping, ["pv", "co"]
         self._hear("pv", mapping.pv, ("pv",))
         self._hear("co", mapping.co, ("co",))
         if mapping.sp is not None:
             self._hear("sp", mapping.sp, ("sp",))
-            names.append("sp")
         if mapping.mode is not None:
             self._watch(mapping.mode, ("mode",), stop=False)
-            names.append("mode")
         for i, states in enumerate(mapping.stops):
             self._watch(states, ("stop", i), stop=True)
-        self.telemetry = frozenset(names)
-        self.units = self._take_gains()
+        self.telemetry = frozenset(n for n in ("pv", "co", "sp", "mode") if getattr(mapping, n) is not None)
+        slots: list[Slot] = []
+        gains = []
+        for gain in mapping.gains:
+            key: Key = ("gains", str(gain.quantity))
+            place = self._written[str(gain.quantity)] = self._place(gain.at, key)
+            slot = (place.frame_id, place.page)
+            slots += [slot] if slot not in slots else []
+            try:
+                gains.append(VendorGain(gain.quantity, gain.scale, place.holds(), slots.index(slot), gain.off))
+            except ValueError as error:
+                raise ProfileError(f"{file.source}: {place.text}: {error}", key) from None
+            if gain.read is not None:
+                self._hear(str(gain.quantity), gain.read, key)
+        self.units = units_of(mapping, gains)
         self.reads_back = bool(mapping.gains) and all(gain.read is not None for gain in mapping.gains)
         self.on_request = frozenset(self._requests) & self.telemetry
+        self.takes_setpoint = mapping.setpoint is not None
         if mapping.setpoint is not None:
-            self._written["setpoint"] = place = self._place(mapping.setpoint, ("setpoint",))
+            place = self._written["setpoint"] = self._place(mapping.setpoint, ("setpoint",))
             try:
                 place.holds()
             except ValueError as error:
-                raise ProfileError(f"{self._file.source}: {place.text}: {error}", ("setpoint",)) from None
+                raise ProfileError(f"{file.source}: {place.text}: {error}", ("setpoint",)) from None
         self._guards: dict[int, FrameGuard] = {}  # by the identifier of their messages
         for i, protection in enumerate(self._mapping.protected):
             layout = self._file.layout(protection.message, ("protect", i, "message"))
@@ -156,30 +166,6 @@ class DbcAccess:
         place = self._place(states.at, key)
         known = self._states.setdefault((place.frame_id, place.layout.is_extended_frame), [])
         known.append(_State(place, states, stop))
-
-    def _take_gains(self) -> VendorUnits:
-        slots: list[Slot] = []
-        gains = []
-        for gain in self._mapping.gains:
-            key: Key = ("gains", str(gain.quantity))
-            place = self._place(gain.at, key)
-            slot = (place.frame_id, place.page)
-            slots += [slot] if slot not in slots else []
-            gains.append(self._vendor_gain(gain, place, slots.index(slot), key))
-            self._written[str(gain.quantity)] = place
-            if gain.read is not None:
-                self._hear(str(gain.quantity), gain.read, key)
-        mapping = self._mapping
-        try:
-            return VendorUnits(tuple(gains), mapping.pv_span, mapping.co_span, mapping.series, mapping.by_hand)
-        except ValueError as error:
-            raise ProfileError(str(error), ("gains",)) from None
-
-    def _vendor_gain(self, gain: GainAt, place: SignalPlace, message: int, key: Key) -> VendorGain:
-        try:
-            return VendorGain(gain.quantity, gain.scale, place.holds(), message, gain.off)
-        except ValueError as error:
-            raise ProfileError(f"{self._file.source}: {place.text}: {error}", key) from None
 
     def take(self, message: can.Message) -> Sequence[Told]:
         """What a frame tells: see Access."""
@@ -222,11 +208,6 @@ class DbcAccess:
             if value is not None:
                 yield Heard(name, place.scale * value + place.offset)
 
-    @property
-    def takes_setpoint(self) -> bool:
-        """Whether a setpoint can be written."""
-        return "setpoint" in self._written
-
     def ask(self, names: Iterable[str]) -> None:
         """Have numbers sent that come on request only."""
         asked: set[object] = set()
@@ -259,29 +240,15 @@ class DbcAccess:
             except ValueError as error:
                 raise ValueError(f"{name}: {error}") from None
             slot = (place.frame_id, place.page)
-            fixed = self._mapping.fixed
-            self._last.setdefault(slot, defaults(place.layout, place.page, fixed))[place.signal.name] = value
+            last = self._last.setdefault(slot, defaults(place.layout, place.page, self._mapping.fixed))
+            last[place.signal.name] = value
             slots.setdefault(slot, place)
         for slot, place in slots.items():
-            self._queue.append(self._frame(place, slot))
-
-    def _frame(self, place: SignalPlace, slot: Slot) -> can.Message:
-        values = dict(self._last[slot])
-        guard = self._guards.get(place.frame_id)
-        if guard is not None:
-            guard.count(values)
-        try:
-            data = place.layout.encode(values, scaling=True, padding=False, strict=False)
-        except DECODING_ERRORS as error:
-            raise ValueError(f"message {place.layout.name}: {' '.join(str(error).split())[:160]}") from None
-        if guard is not None:
-            data = guard.sealed(data)
-        return can.Message(
-            arbitration_id=place.frame_id,
-            is_extended_id=place.layout.is_extended_frame,
-            is_fd=place.layout.is_fd,
-            data=data,
-        )
+            try:
+                frame = data_frame(place.layout, place.frame_id, self._last[slot], self._guards.get(place.frame_id))
+            except DECODING_ERRORS as error:
+                raise ValueError(f"message {place.layout.name}: {' '.join(str(error).split())[:160]}") from None
+            self._queue.append(frame)
 
     def due(self, now_s: float) -> Sequence[can.Message]:
         """What is to be sent."""

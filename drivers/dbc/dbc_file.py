@@ -1,6 +1,6 @@
 """A DBC file, and the signals that a mapping names in it: found, or told in one line with the key that is wrong."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import cantools.database
@@ -8,14 +8,12 @@ from cantools.database.can.database import Database
 from cantools.database.can.message import Message as Layout
 from cantools.database.can.signal import Signal
 
-from retuner.drivers.profiles.controller_access import ProfileError
-from retuner.drivers.profiles.one_meaning import Use
+from retuner.drivers.profiles.controller_access import ProfileError, Use, description
 from retuner.drivers.protocol.codec import PARSING_ERRORS
 from retuner.schedule.late_dataclass import dataclass
 from retuner.schedule.vendor_units import SINGLE_MAX, StorableNumbers
 
 Key = tuple[str | int, ...]
-LARGEST = 16 << 20  # bytes
 NAMES_SHOWN = 8
 SINGLE_BITS = 32
 BYTE = 8
@@ -74,15 +72,14 @@ def carried(signal: Signal) -> tuple[float, float]:
     return low, high
 
 
-def bits_of(signal: Signal) -> Iterator[int]:
-    """The bits of a message in which a signal lies, numbered by byte and, in it, from the lowest bit."""
-    at = int(signal.start)
-    for _ in range(signal.length):
-        yield at
-        if signal.byte_order == "little_endian":
-            at += 1
-        else:  # downwards, then at the top of the next byte
-            at = at - 1 if at % BYTE else at + 2 * BYTE - 1
+def bits_of(signal: Signal) -> Sequence[int]:
+    """The bits of a message in which a signal lies, from its least significant one, as 8 x byte + bit of the byte."""
+    if signal.byte_order == "little_endian":
+        return range(signal.start, signal.start + signal.length)
+    found = [int(signal.start)]
+    while len(found) < signal.length:  # downwards, then at the top of the next byte
+        found.append(found[-1] - 1 if found[-1] % BYTE else found[-1] + 2 * BYTE - 1)
+    return found[::-1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,32 +151,14 @@ class DbcFile:
                 f"{self.source}: message {message!r} has no signal {signal!r}; {_there(names, signal)}",
                 (*key, "signal"),
             )
-        if found[0].multiplexer_ids is not None and len(_selectors(layout)) > 1:
+        if found[0].multiplexer_ids is not None and sum(s.is_multiplexer for s in layout.signals) > 1:
             raise ProfileError(f"{self.source}: message {message!r} is multiplexed in more than one way", key)
         return SignalPlace(layout, found[0], self.frame_id(layout, key), scale, offset)
 
 
-def selector(layout: Layout) -> Signal | None:
-    """The signal that says which of the multiplexed ones are there."""
-    found = _selectors(layout)
-    return found[0] if found else None
-
-
-def _selectors(layout: Layout) -> list[Signal]:
-    return [signal for signal in layout.signals if signal.is_multiplexer]
-
-
 def read_dbc_file(path: Path) -> Database:
     """The messages of a DBC file. Raises ProfileError: the file cannot be read, or is no DBC."""
-    try:
-        with path.open("rb") as stream:
-            raw = stream.read(LARGEST + 1)
-    except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise ProfileError(f"{path}: cannot be read: {reason}; give the device's DBC file", ("dbc",)) from None
-    if len(raw) > LARGEST:
-        raise ProfileError(f"{path}: is larger than {LARGEST >> 20} MB; is it a DBC?", ("dbc",))
-    text = raw.decode("latin-1")  # names are ASCII; comments are Latin-1 as often as not
+    text = description(path, "DBC").decode("latin-1")  # names are ASCII; comments are Latin-1 as often as not
     try:  # flaws of messages that nobody needs do no harm; DbcFile.layout looks at those that are needed
         database = cantools.database.load_string(text, database_format="dbc", strict=False)
     except PARSING_ERRORS as error:
@@ -194,7 +173,10 @@ def defaults(layout: Layout, page: int | None, fixed: Mapping[str, float]) -> di
     the fixed value, else the DBC's start value, else 0 or the end nearest to it.
     """
     found: dict[str, float] = {}
-    page = _page_of(layout, fixed) if page is None else page
+    choice = next((signal for signal in layout.signals if signal.is_multiplexer), None)
+    if page is None and choice is not None:  # the fixed page, else the first
+        pages = sorted({page for signal in layout.signals for page in signal.multiplexer_ids or ()})
+        page = int(fixed.get(f"{layout.name}.{choice.name}", pages[0] if pages else 0))
     for signal in layout.signals:
         if signal.multiplexer_ids and page not in signal.multiplexer_ids:
             continue
@@ -210,15 +192,6 @@ def defaults(layout: Layout, page: int | None, fixed: Mapping[str, float]) -> di
         start = min(max(start, least), most)
         found[signal.name] = fixed.get(f"{layout.name}.{signal.name}", start)
     return found
-
-
-def _page_of(layout: Layout, fixed: Mapping[str, float]) -> int | None:
-    """The page to send a multiplexed message with where none is asked for: the fixed one, else the first."""
-    choice = selector(layout)
-    if choice is None:
-        return None
-    pages = sorted({page for signal in layout.signals for page in signal.multiplexer_ids or ()})
-    return int(fixed.get(f"{layout.name}.{choice.name}", pages[0] if pages else 0))
 
 
 def _there(names: Sequence[str], wanted: str) -> str:

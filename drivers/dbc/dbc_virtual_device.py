@@ -10,7 +10,7 @@ import can
 
 from retuner.drivers.dbc.dbc_access import AskFrame, DbcAccess, ask_frame
 from retuner.drivers.dbc.dbc_file import DbcFile, SignalPlace, defaults
-from retuner.drivers.dbc.frame_guard import FrameGuard, guard_of
+from retuner.drivers.dbc.frame_guard import FrameGuard, data_frame, guard_of
 from retuner.drivers.profiles.bench_loop import BenchLoop, load_of
 from retuner.drivers.profiles.mapping import DeviceMapping, SignalOf
 from retuner.drivers.telemetry.signal_source import DECODING_ERRORS
@@ -39,7 +39,6 @@ class VirtualDbcDevice:
         self._on_request: set[Slot] = set()
         self._asked_by: list[tuple[AskFrame, Slot]] = []
         self._guards: dict[int, FrameGuard] = {}
-        loop, mapping = self.loop, self._mapping
         self._send(mapping.pv, lambda: loop.pv)
         self._send(mapping.co, lambda: loop.co)
         if mapping.sp is not None:
@@ -102,20 +101,12 @@ class VirtualDbcDevice:
         return []
 
     def _frame(self, slot: Slot) -> can.Message:
-        place, guard = self._places[slot], self._guards.get(slot[0])
+        place = self._places[slot]
         values = defaults(place.layout, place.page, {})
         for name, value in self._sent[slot].items():
             there = SignalPlace(place.layout, place.layout.get_signal_by_name(name), place.frame_id).holds()
             values[name] = there.nearest(min(max(value(), there.low), there.high))
-        if guard is not None:
-            guard.count(values)
-        data = place.layout.encode(values, strict=False)
-        return can.Message(
-            arbitration_id=slot[0],
-            is_extended_id=place.layout.is_extended_frame,
-            is_fd=place.layout.is_fd,
-            data=guard.sealed(data) if guard is not None else data,
-        )
+        return data_frame(place.layout, slot[0], values, self._guards.get(slot[0]))
 
     def _decoded(self, place: SignalPlace, message: can.Message) -> float | None:
         try:

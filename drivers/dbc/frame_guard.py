@@ -1,12 +1,14 @@
 """Counter and checksum of one message: put into what is sent, demanded of what comes."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from functools import reduce
 from operator import xor
 
+import can
 from cantools.database.can.message import Message as Layout
 from cantools.database.can.signal import Signal
 
+from retuner.drivers.dbc.dbc_file import bits_of
 from retuner.drivers.profiles.controller_access import ProfileError
 from retuner.drivers.profiles.mapping import Protection
 from retuner.schedule.late_dataclass import dataclass
@@ -50,9 +52,11 @@ class FrameGuard:
             return False
         if self.counter is None:
             return True
-        count = _bits(data, self.counter)
-        new = count is not None and count != self._seen
-        self._seen = count if count is not None else self._seen
+        places = bits_of(self.counter)
+        if max(places) // 8 >= len(data):
+            return False
+        count = sum((data[at // 8] >> at % 8 & 1) << i for i, at in enumerate(places))
+        new, self._seen = count != self._seen, count
         return new
 
 
@@ -94,20 +98,17 @@ def _signal(layout: Layout, name: str, source: str, key: tuple[str | int, ...]) 
     return found[0]
 
 
-def _bits(data: bytes, signal: Signal) -> int | None:
-    """The raw value of an unsigned signal; None when the frame is too short."""
-    value = 0
-    place = signal.start
-    for i in range(signal.length):
-        if place // 8 >= len(data):
-            return None
-        bit = data[place // 8] >> (place % 8) & 1
-        value = value << 1 | bit if signal.byte_order == "big_endian" else value | bit << i
-        if signal.byte_order == "big_endian":
-            place = place - 1 if place % 8 else place + 15
-        else:
-            place += 1
-    return value
+def data_frame(
+    layout: Layout, frame_id: int, values: Mapping[str, float], guard: FrameGuard | None = None
+) -> can.Message:
+    """The frame of a message with these values of its signals, counted and sealed; errors as cantools' encode."""
+    values = dict(values)
+    if guard is not None:
+        guard.count(values)
+    data = layout.encode(values, scaling=True, padding=False, strict=False)
+    sealed = data if guard is None else guard.sealed(data)
+    extended = layout.is_extended_frame
+    return can.Message(arbitration_id=frame_id, is_extended_id=extended, is_fd=layout.is_fd, data=sealed)
 
 
 # Checksums and counters in foreign messages, by the name of the algorithm.

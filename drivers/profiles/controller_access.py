@@ -4,12 +4,17 @@ The names are those of the numbers: pv, co, sp, mode, setpoint, and the gains un
 """
 
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import combinations
+from pathlib import Path
 from typing import NamedTuple, Protocol
 
 import can
 
 from retuner.drivers.device import DeviceError
-from retuner.schedule.vendor_units import VendorUnits
+from retuner.drivers.profiles.mapping import DeviceMapping
+from retuner.schedule.vendor_units import VendorGain, VendorUnits
+
+LARGEST = 16 << 20  # bytes of a description
 
 
 class ProfileError(DeviceError):
@@ -76,29 +81,12 @@ Told = Doubted | Heard | Stopped | NoFault | Started | Alive | Acknowledged | De
 class Access(Protocol):
     """One controller's numbers on a bus. No clock, no thread: what is to be sent is asked for with the time."""
 
-    @property
-    def units(self) -> VendorUnits:
-        """Units of the controller's gains."""
-
-    @property
-    def telemetry(self) -> frozenset[str]:
-        """Names among pv, co, sp and mode that can be heard."""
-
-    @property
-    def on_request(self) -> frozenset[str]:
-        """The places that come only when asked for."""
-
-    @property
-    def reads_back(self) -> bool:
-        """Whether the gains can be read."""
-
-    @property
-    def takes_setpoint(self) -> bool:
-        """Whether a setpoint can be written."""
-
-    @property
-    def acknowledges(self) -> bool:
-        """Whether each write is answered."""
+    units: VendorUnits  # of the controller's gains
+    telemetry: frozenset[str]  # names among pv, co, sp and mode that can be heard
+    on_request: frozenset[str]  # those of them that come only when asked for
+    reads_back: bool  # whether the gains can be read
+    takes_setpoint: bool  # whether a setpoint can be written
+    acknowledges: bool  # whether each write is answered
 
     def take(self, message: can.Message) -> Sequence[Told]:
         """What a frame tells; nothing for a frame of somebody else, or a damaged one."""
@@ -117,3 +105,63 @@ class Access(Protocol):
 
     def forget(self) -> None:
         """The controller is out of reach: give up what is under way."""
+
+
+def description(path: Path, kind: str) -> bytes:
+    """The bytes of a device's description. kind : "DBC" or "EDS".
+
+    Raises ProfileError: the file cannot be read, or is too large.
+    """
+    key = (kind.lower(),)
+    try:
+        with path.open("rb") as stream:
+            raw = stream.read(LARGEST + 1)
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise ProfileError(f"{path}: cannot be read: {reason}; give the device's {kind} file", key) from None
+    if len(raw) > LARGEST:
+        article = "a" if kind == "DBC" else "an"
+        raise ProfileError(f"{path}: is larger than {LARGEST >> 20} MB; is it {article} {kind}?", key)
+    return raw
+
+
+def units_of(mapping: DeviceMapping, gains: Iterable[VendorGain]) -> VendorUnits:
+    """The units of a mapped controller. Raises ProfileError: its gains are none of one controller."""
+    try:
+        return VendorUnits(tuple(gains), mapping.pv_span, mapping.co_span, mapping.series, mapping.by_hand)
+    except ValueError as error:
+        raise ProfileError(str(error), ("gains",)) from None
+
+
+class Use(NamedTuple):
+    """Where one thing of a mapping lies.
+
+    role, what, key : see mapping.MappedPlace. frame : identifier of the message, or index and sub-index of the object.
+    pages : values of the multiplexer under which it is there; empty: always. bits : of the message. text : the signal
+    or object, for people.
+    """
+
+    role: str
+    what: str
+    frame: tuple[int, int]
+    pages: frozenset[int]
+    bits: frozenset[int]
+    text: str
+    key: tuple[str | int, ...]
+
+    def meets(self, other: "Use") -> bool:
+        """Whether both lie in the same bits of the same frame."""
+        together = not self.pages or not other.pages or bool(self.pages & other.pages)
+        return self.frame == other.frame and together and bool(self.bits & other.bits)
+
+
+def require_distinct(uses: Iterable[Use], source: str) -> None:
+    """Refuse a mapping in which one signal or object is two things: a setpoint written to a gain would become it.
+
+    Raises ProfileError: the later of the two is named by its key.
+    """
+    for one, other in combinations(uses, 2):
+        if one.what == other.what or not one.meets(other):
+            continue
+        same = f"{one.text} is both" if one.text == other.text else f"{one.text} and {other.text} share bits; they are"
+        raise ProfileError(f"{source}: {same} {one.role} and {other.role}; give each a place of its own", other.key)

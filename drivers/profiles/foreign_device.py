@@ -338,12 +338,23 @@ class ForeignDevice:
         if not self._hears(now_s):
             return
         if self.running is None and not self._access.reads_back:
-            self._believe(self._numbers or self._first_numbers())
+            try:
+                self._believe(self._numbers or self._access.units.numbers(self.settings.gains))
+            except ValueError as error:
+                raise DeviceMismatchError(f"{self.settings.where}: the configured gains: {error}") from None
             if not self.settings.closed and self._numbers is not None:
                 self._access.put(self._numbers)  # nobody can say what runs: what is sent does
         if self.running is None:
             return
-        self._require_fitting(self.running.gains)
+        unproved = not (self._access.units.atomic or self.settings.closed or self.fits(self.running.gains))
+        if unproved and not self._contact.made:
+            gains = self.running.gains
+            shown = f"kp = {gains.kp:.6g}, ki = {gains.ki:.6g}, kd = {gains.kd:.6g}"
+            raise DeviceMismatchError(
+                f"{self.settings.where}: it runs {shown} (parallel), which no region has; gains of several messages "
+                "are not written over unknown ones; give the region the gains that it runs (retuner export --into "
+                'writes tuned ones there), or [device] accept = ["unproved_order"]'
+            )
         if self._boots and self._contact.made:
             self._events.append(DeviceRestarted(self._boots, self.running))
         self._boots = 0
@@ -355,23 +366,6 @@ class ForeignDevice:
     def _hears(self, now_s: float) -> bool:
         """Whether the controller is heard just now, its gains known or not."""
         return now_s - self._contact.heard_s <= self.settings.silent_s and self.link.state is not LinkState.DOWN
-
-    def _require_fitting(self, gains: PidGains) -> None:
-        """Refuse, at the first connection, a controller that runs what nobody knows of and nobody could write over."""
-        if self._contact.made or self._access.units.atomic or self.settings.closed or self.fits(gains):
-            return
-        shown = f"kp = {gains.kp:.6g}, ki = {gains.ki:.6g}, kd = {gains.kd:.6g}"
-        raise DeviceMismatchError(
-            f"{self.settings.where}: it runs {shown} (parallel), which no region has; gains of several messages are "
-            "not written over unknown ones; give the region the gains that it runs (retuner export --into writes tuned "
-            'ones there), or [device] accept = ["unproved_order"]'
-        )
-
-    def _first_numbers(self) -> Numbers:
-        try:
-            return self._access.units.numbers(self.settings.gains)
-        except ValueError as error:
-            raise DeviceMismatchError(f"{self.settings.where}: the configured gains: {error}") from None
 
     def _notice_silence(self, now_s: float) -> None:
         """Notice that nothing was heard for too long, or that there is no bus."""
@@ -403,9 +397,16 @@ class ForeignDevice:
 
     def _ask(self, now_s: float) -> None:
         """Ask for the gains: at first, and now and then; and for the loop's numbers that come on request only."""
-        access = self._access
+        access, fresh = self._access, self._fresh
         asks = "pv" in access.on_request and now_s >= self._again_s
-        if asks and self._grid.due(now_s) and not self._has_recent(now_s):
+        if (
+            asks
+            and self._grid.due(now_s)
+            and all(now_s - v.at_s >= self.settings.sample_time_s for v in fresh.values())
+        ):
+            # no half of a sample is there that its other half may still come to; an older one (of before the gains were
+            # known, or whose other half was lost) is given up, or nothing would ever be asked for again
+            fresh.clear()
             self._again_s = now_s + AGAIN * self.settings.sample_time_s
             access.ask(access.on_request)
         if not access.reads_back or self._course.busy or now_s < self._ask_s:
@@ -413,15 +414,6 @@ class ForeignDevice:
         self._ask_s = now_s + (self.settings.look_s if self.running is not None else self.settings.reply_s)
         self._read.clear()
         access.ask(access.units.names)
-
-    def _has_recent(self, now_s: float) -> bool:
-        """Whether half a sample is there that its other half may still come to; an older one (of before the gains were
-        known, or whose other half was lost) is given up, or nothing would ever be asked for again.
-        """
-        recent = any(now_s - value.at_s < self.settings.sample_time_s for value in self._fresh.values())
-        if not recent:
-            self._fresh.clear()
-        return recent
 
     def _write_on(self, now_s: float) -> None:
         """What the write under way wants to send; after a silence it asks what runs, and only then is it connected."""

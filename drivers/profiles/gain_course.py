@@ -124,20 +124,16 @@ class GainCourse:
 
     def due(self, now_s: float) -> Sending | None:
         """What is to be sent now, if anything."""
-        if not self._is_due(now_s):
+        if self.busy and self._deadline_s is not None:
+            if now_s < self._deadline_s:
+                return None
+            self._time_out()
+        if not self.busy:
             return None
         self._tries += 1
         sending = self._sending()
         self._deadline_s = now_s + self._reply_s
         return sending
-
-    def _is_due(self, now_s: float) -> bool:
-        """Whether the phase has just been entered, or its time is over and something is still to do."""
-        if self.busy and self._deadline_s is not None:
-            if now_s < self._deadline_s:
-                return False
-            self._time_out()
-        return self.busy
 
     def _sending(self) -> Sending:
         phase = self.machine.phase

@@ -183,7 +183,6 @@ def test_an_emergency_stops_and_its_end_lets_go(stage: Stage) -> None:
 
 
 def test_a_boot_up_makes_it_read_again_what_runs(stage: Stage) -> None:
-    stage.node._take_gain("tn", 33.0)
     stage.node.node.set_data(0x6452, 1, struct.pack("<f", 33.0))
     events = stage.run(3, can.Message(arbitration_id=0x705, is_extended_id=False, data=b"\0"))
     restarted = stage.of(events, DeviceRestarted)
