@@ -127,6 +127,10 @@ class PidGains:
         ratio = 0.0 if tau_i_s is None else tau_d_s / tau_i_s
         return cls(kc * (1.0 + ratio), _integral_gain("series", kc, tau_i_s), kc * tau_d_s + 0.0)
 
+    def times(self, factor: float) -> "PidGains":
+        """All gains times one factor; errors as the class."""
+        return PidGains(self.kp * factor, self.ki * factor, self.kd * factor)
+
     @property
     def direction(self) -> int:
         """+1 for a process whose pv rises with co, -1 for a reverse-acting one."""

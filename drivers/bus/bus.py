@@ -132,7 +132,10 @@ HOLDING = frozenset(LinkFault) - {LinkFault.LOG, LinkFault.GARBAGE, LinkFault.ER
 """Faults after which frames may be missing or stale, so nothing is learned or changed for a while. A stray datagram or
 one error on the wire costs no frame of ours: CAN repeats it, and a gap in the samples would be seen by itself."""
 
-OVERFLOWN, WARNED, PASSIVE = 0x03, 0x0C, 0x30  # states of the controller: queue overflown, counters over 96, over 127
+CONTROLLER_STATES = (
+    (0x03, LinkFault.OVERFLOW), (0x30, LinkFault.ERROR_PASSIVE), (0x0C, LinkFault.ERROR_WARNING),
+)  # fmt: skip
+"""Bits of the controller's state, the worst first: queue overflown, error counters over 127, over 96."""
 CONTROLLER_CLASS, NO_ACK_CLASS, BUS_OFF_CLASS = 0x04, 0x20, 0x40
 TRANSMIT_QUEUE_FULL = (errno.ENOBUFS, errno.EAGAIN)
 BY_ERRNO = {
@@ -184,12 +187,8 @@ def fault_of_frame(message: can.Message) -> LinkFault:
         return LinkFault.BUS_OFF
     if kind & NO_ACK_CLASS:
         return LinkFault.NO_ACKNOWLEDGE
-    if kind & CONTROLLER_CLASS:
-        for bits, fault in ((OVERFLOWN, LinkFault.OVERFLOW), (PASSIVE, LinkFault.ERROR_PASSIVE)):
-            if state & bits:
-                return fault
-        return LinkFault.ERROR_WARNING if state & WARNED else LinkFault.ERROR_FRAME
-    return LinkFault.ERROR_FRAME
+    told = (fault for bits, fault in CONTROLLER_STATES if kind & CONTROLLER_CLASS and state & bits)
+    return next(told, LinkFault.ERROR_FRAME)
 
 
 def fault_of_error(error: BaseException, otherwise: LinkFault) -> LinkFault:
@@ -288,14 +287,12 @@ class CanLink(Closes):
         self.counters.sent += 1
         if self._datagrams:
             self._own.append((message.arbitration_id, bytes(message.data)))
-        if self._log is not None:
-            self._write_log(message, received=False)
+        self._write_log(message, received=False)
         return True
 
     def note(self, message: can.Message) -> None:
         """Put a frame into the log, if there is one, and on no bus. Never raises."""
-        if self._log is not None:
-            self._write_log(message, received=False)
+        self._write_log(message, received=False)
 
     def receive_all(self, limit: int = 10_000) -> list[can.Message]:
         """All frames that have arrived, oldest first, at most limit; own echoes and error frames left out."""

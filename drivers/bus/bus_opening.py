@@ -142,10 +142,14 @@ class BusLog:
         try:
             self._writer.on_message_received(message)
             self._frames += 1
-            if self._frames % LOOK_EVERY == 0 and self._size(self._writer) >= self._part_bytes:
-                writer, self._writer = self._writer, None
-                if writer is not None:
-                    writer.stop()
+            if self._frames % LOOK_EVERY:
+                return True
+            # the newest part as its writer knows it: with what is not in the file yet
+            writer = self._writer
+            size = writer.file_size() if isinstance(writer, SizedMessageWriter) else self._path.stat().st_size
+            if size >= self._part_bytes:
+                self._writer = None
+                writer.stop()
                 before = self._part(self._full_parts)
                 self._full_parts += 1
                 self._path.replace(self._part(self._full_parts))
@@ -166,10 +170,6 @@ class BusLog:
         except WRITING_ERRORS:
             return False
         return True
-
-    def _size(self, writer: can.io.generic.MessageWriter) -> int:
-        """Size of the newest part in bytes, as its writer knows it: with what is not in the file yet."""
-        return writer.file_size() if isinstance(writer, SizedMessageWriter) else self._path.stat().st_size
 
     def _part(self, number: int) -> Path:
         return self._path.with_name(f"{self._path.stem}-{number}{self._path.suffix}")

@@ -31,25 +31,23 @@ class GroupSocket(GeneralPurposeUdpMulticastBus):
             if self.timestamp_nanosecond:
                 sock.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
             group = socket.inet_pton(address_family, self.group)
-            (self._join4 if address_family == socket.AF_INET else self._join6)(sock, group)
+            # on the loopback interface alone as long as nothing may leave the machine
+            ip, ip6, hops = socket.IPPROTO_IP, socket.IPPROTO_IPV6, self.hop_limit
+            if address_family == socket.AF_INET:
+                sock.setsockopt(ip, socket.IP_MULTICAST_TTL, hops)
+                sock.setsockopt(ip, IP_MULTICAST_ALL, 0)
+                sock.setsockopt(ip, socket.IP_ADD_MEMBERSHIP, group + (bytes(4) if hops else LOOPBACK))
+                if not hops:
+                    sock.setsockopt(ip, socket.IP_MULTICAST_IF, LOOPBACK)
+            else:
+                sock.setsockopt(ip6, socket.IPV6_MULTICAST_HOPS, hops)
+                sock.setsockopt(ip6, IPV6_MULTICAST_ALL, 0)
+                sock.setsockopt(ip6, socket.IPV6_JOIN_GROUP, group + struct.pack("@I", 0))
             sock.bind((self.group, self.port))
         except OSError:
             sock.close()
             raise
         return sock
-
-    def _join4(self, sock: socket.socket, group: bytes) -> None:
-        """Become a member: on the loopback interface alone as long as nothing may leave the machine."""
-        sock.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, self.hop_limit)
-        sock.setsockopt(socket.IPPROTO_IP, IP_MULTICAST_ALL, 0)
-        sock.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, group + (bytes(4) if self.hop_limit else LOOPBACK))
-        if not self.hop_limit:
-            sock.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, LOOPBACK)
-
-    def _join6(self, sock: socket.socket, group: bytes) -> None:
-        sock.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_MULTICAST_HOPS, self.hop_limit)
-        sock.setsockopt(socket.IPPROTO_IPV6, IPV6_MULTICAST_ALL, 0)
-        sock.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_JOIN_GROUP, group + struct.pack("@I", 0))
 
 
 class GroupBus(UdpMulticastBus):

@@ -3,6 +3,7 @@
 import secrets
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from typing import NamedTuple, Protocol, TypeVar
 
 import can
@@ -164,8 +165,7 @@ class Conversation:
 
     def reason(self, *frames: wire.Frame) -> wire.Reason | None:
         """What it says; None for nothing."""
-        found = self.ack(*frames)
-        return None if found is None else wire.Reason(found.reason)
+        return reason_of(self.ack(*frames))
 
     # what is asked
 
@@ -193,23 +193,14 @@ class Conversation:
         if not ends:
             raise NoAnswerError(f"no PAGE after READ of page {page.name.lower()}")
         seen = PageSeen({frame.item: frame for frame in frames if isinstance(frame, wire.PageItem)}, ends[-1])
-        self._look_at(page, seen, asked)
+        # the CRC of a complete set that runs or is staged must be that of its gains
+        complete = seen.end.complete and len(seen.items) == len(wire.Item)
+        if page in {wire.Page.RUNNING, wire.Page.STAGED} and complete:
+            with suppress(ValueError):  # what no PID runs is shown as it is
+                crc = set_crc(self.node, self.known.epoch, seen.end.seq, PidGains(*seen.values))
+                wrong = seen.end.crc != page_crc(crc, asked)
+                self.spoilt += [f"the CRC of the {page.name.lower()} page"] * wrong
         return seen
-
-    def _look_at(self, page: wire.Page, seen: PageSeen, token: int) -> None:
-        """Whether the CRC of a complete set that runs or is staged is that of its gains."""
-        if (
-            page not in {wire.Page.RUNNING, wire.Page.STAGED}
-            or not seen.end.complete
-            or len(seen.items) < len(wire.Item)
-        ):
-            return
-        try:
-            gains = PidGains(*seen.values)
-        except ValueError:  # shown as it is: no PID runs it
-            return
-        if seen.end.crc != page_crc(set_crc(self.node, self.known.epoch, seen.end.seq, gains), token):
-            self.spoilt.append(f"the CRC of the {page.name.lower()} page")
 
     def token(self) -> int:
         """A new one."""
@@ -257,13 +248,9 @@ class Conversation:
         """The code of a commit, over the device's present challenge; nothing without a key."""
         if self.key is None:
             return []
-        nonce = self.one(wire.Challenge, wire.Page.CHALLENGE).nonce
-        known = self.known
-        return [
-            *code_frames(
-                commit_code(key or self.key, self.node, known.epoch, nonce, self.owner, seq, known.seq, gains), seq
-            )
-        ]
+        nonce, known = self.one(wire.Challenge, wire.Page.CHALLENGE).nonce, self.known
+        code = commit_code(key or self.key, self.node, known.epoch, nonce, self.owner, seq, known.seq, gains)
+        return [*code_frames(code, seq)]
 
     def write(self, gains: PidGains) -> tuple[int, list[wire.Frame]]:
         """Stage and commit a set, and let a sample pass; its number, and what came."""
@@ -277,6 +264,11 @@ class Conversation:
 def first_ack(frames: Sequence[wire.Frame], kind: wire.Kind) -> wire.Ack | None:
     """The first acknowledge of a kind."""
     return next((frame for frame in frames if isinstance(frame, wire.Ack) and frame.kind == kind), None)
+
+
+def reason_of(ack: wire.Ack | None) -> wire.Reason | None:
+    """What an acknowledge says; None for none."""
+    return None if ack is None else wire.Reason(ack.reason)
 
 
 # ---- Where the examined device is: an object in this thread, or a node on a bus in real time
@@ -304,7 +296,6 @@ class OnBus:
         self._link, self._clock, self._node, self._sample_s = link, clock, node, sample_s
         self._codec, self._ask = Codec(node), restart
         self._tokens: set[int] = set()
-        self._waiting: list[can.Message] = []
 
     def send(self, message: can.Message) -> None:
         """Put it on the bus."""
@@ -317,8 +308,7 @@ class OnBus:
         token = next(token for token in range(wire.CHALLENGE_TAG) if token not in self._tokens)
         self._tokens.clear()
         self._link.send(self._codec.encode(wire.Read(wire.Page.CHALLENGE, token)))
-        self._listen(self._clock.now_s() + max(SAMPLES * self._sample_s, LEAST_S), lambda m: self._is_last(m, token))
-        messages, self._waiting = self._waiting, []
+        messages = self._listen(max(SAMPLES * self._sample_s, LEAST_S), lambda m: self._is_last(m, token))
         return [message for message in messages if not self._is_last(message, token)]
 
     def _is_last(self, message: can.Message, token: int) -> bool:
@@ -327,23 +317,21 @@ class OnBus:
 
     def sample(self) -> list[can.Message]:
         """What comes until a whole sample has come."""
-        self._listen(self._clock.now_s() + 4 * self._sample_s + 1.0, lambda m: m.arbitration_id & 31 == TELEMETRY_SP)
-        messages, self._waiting = self._waiting, []
-        return messages
+        return self._listen(4 * self._sample_s + 1.0, lambda m: m.arbitration_id & 31 == TELEMETRY_SP)
 
     def restart(self) -> bool:
         """Ask for it; what was heard of the time before is forgotten."""
         done = self._ask()
         self._link.receive_all()
-        self._waiting = []
         return done
 
-    def _listen(self, until_s: float, last: Callable[[can.Message], bool]) -> None:
-        """Take the node's frames until one is the last, or the time is over."""
-        ended = False
+    def _listen(self, for_s: float, last: Callable[[can.Message], bool]) -> list[can.Message]:
+        """The node's frames until one is the last, or the time is over."""
+        until_s, found, ended = self._clock.now_s() + for_s, list[can.Message](), False
         while not ended and self._clock.now_s() < until_s:
             self._link.wait_until(min(until_s, self._clock.now_s() + LOOK_S))
             for message in self._link.receive_all():
                 if message.arbitration_id >> COMMAND_BITS == self._node and not message.is_extended_id:
-                    self._waiting.append(message)
+                    found.append(message)
                     ended = ended or last(message)
+        return found

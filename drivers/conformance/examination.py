@@ -109,4 +109,4 @@ def examine(talk: Conversation, chapters: Sequence[tuple[str, Check]]) -> Examin
 
 def near(gains: PidGains, factor: float) -> PidGains:
     """A set a little off, as float32."""
-    return to_wire(PidGains(gains.kp * factor, gains.ki * factor, gains.kd * factor))
+    return to_wire(gains.times(factor))

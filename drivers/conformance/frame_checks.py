@@ -8,7 +8,7 @@ from itertools import pairwise
 import can
 
 from retuner.adaptive.signals.sample import LoopMode
-from retuner.drivers.conformance.conversation import LEASE_SAMPLES, Conversation
+from retuner.drivers.conformance.conversation import LEASE_SAMPLES, Conversation, reason_of
 from retuner.drivers.conformance.examination import Examination
 from retuner.drivers.protocol import frames as wire
 from retuner.drivers.protocol.checksum import STAMP_SAMPLES, frame_crc, lease_stamp, page_crc, sample_crc, set_crc
@@ -263,4 +263,4 @@ def _took(talk: Conversation, command: Callable[[], wire.Frame]) -> wire.Reason 
     if answer is not None and answer.reason == wire.Reason.STALE:
         talk.counter((answer.latest - talk.counter(0)) % 256)
         answer = talk.ack(command())
-    return None if answer is None else wire.Reason(answer.reason)
+    return reason_of(answer)

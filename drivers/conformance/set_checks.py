@@ -5,7 +5,7 @@ from dataclasses import replace
 from functools import partial
 
 from retuner.adaptive.signals.sample import LoopMode
-from retuner.drivers.conformance.conversation import first_ack
+from retuner.drivers.conformance.conversation import first_ack, reason_of
 from retuner.drivers.conformance.examination import Check, Examination, near
 from retuner.drivers.conformance.frame_checks import manual, setpoint
 from retuner.drivers.protocol import frames as wire
@@ -120,7 +120,7 @@ def swapping(found: Examination) -> None:
 def refusing(found: Examination) -> None:
     """Every condition of a commit that is not met has its reason, burns the number, and changes nothing."""
     talk, good = found.talk, found.other
-    up = PidGains(good.kp * 1e4, good.ki * 1e4, good.kd * 1e4)
+    up = good.times(1e4)
     far, mixed = (wire.Reason.RATIO, wire.Reason.OUTSIDE_BOX), (wire.Reason.OUTSIDE_BOX,)
     crc = wire.Reason.WRONG_CRC
     for name, reason, wrong in (
@@ -221,7 +221,7 @@ def fencing(found: Examination) -> None:
         found.left_out.append("ABORT of a commit that waits for its sample: the samples are too short to try it")
         talk.look()
         return
-    found.expect("ABORT of a commit that waits", None if answer is None else wire.Reason(answer.reason), wire.Reason.OK)
+    found.expect("ABORT of a commit that waits", reason_of(answer), wire.Reason.OK)
     talk.samples(1)
     found.runs("after the ABORT of a commit that waited", before)
     found.answers("the fenced COMMIT, late", wire.Reason.STALE, *codes, commit)
@@ -247,12 +247,8 @@ def busy(found: Examination) -> None:
     if commit is not None and commit.reason == wire.Reason.OK:
         found.left_out.append("STAGE while a commit waits: the samples are too short to try it")
     else:
-        found.expect(
-            "STAGE while a commit waits", None if stage is None else wire.Reason(stage.reason), wire.Reason.BUSY
-        )
-        found.expect(
-            "COMMIT while another waits", None if commit is None else wire.Reason(commit.reason), wire.Reason.BUSY
-        )
+        found.expect("STAGE while a commit waits", reason_of(stage), wire.Reason.BUSY)
+        found.expect("COMMIT while another waits", reason_of(commit), wire.Reason.BUSY)
     talk.samples(1)
     talk.look()
     found.confirmed()
@@ -333,16 +329,15 @@ def restarting(found: Examination) -> None:
     found.holds("the epoch is the same after a restart", talk.known.epoch != before)
     found.holds("the sample counter goes on over a restart", talk.known.sample < 1000)
     found.expect("owner after a restart", talk.known.owner, 0)
-    found.expect(
-        "what runs after a restart", (talk.known.seq, talk.known.gains), (stored.end.seq, PidGains(*stored.values))
-    )
+    kept = PidGains(*stored.values)
+    found.expect("what runs after a restart", (talk.known.seq, talk.known.gains), (stored.end.seq, kept))
     found.expect("complete in the staged page after a restart", talk.page(wire.Page.STAGED).end.complete, 0)
     found.answers("LEASE of before the restart", wire.Reason.STALE, request)
     talk.own()
     late = talk.reason(*talk.stage(seq, good), commit)
     found.holds("a COMMIT of before the restart is accepted", late is not wire.Reason.OK and late is not None)
     talk.samples(1)
-    found.runs("after it", PidGains(*stored.values))
+    found.runs("after it", kept)
 
 
 def reverting(samples: int) -> Check:

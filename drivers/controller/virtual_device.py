@@ -8,7 +8,6 @@ reads a clock or a bus: device_process.py and the tests move frames and time.
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TypeVar
 
 import can
 
@@ -85,8 +84,6 @@ class LeaseDesk:
 
 
 __all__ = ["VirtualDevice", "VirtualDeviceSettings"]
-
-Command = TypeVar("Command", wire.Setpoint, wire.Mode, wire.Load)
 
 PV_WIRE = (-1e9, 1e9)  # range of pv in retuner.dbc
 SAMPLE_WRAP = 1 << 32
@@ -285,19 +282,16 @@ class VirtualDevice:
         return self.code.judge(self.settings.node, self.epoch, self.lease.owner, frame.seq, frame.base, gains)
 
     def _command(self, frame: wire.Setpoint | wire.Mode | wire.Load) -> wire.Ack:
+        """Act once on a newer frame, answer a repeated one again, refuse an older one."""
         settings = self.settings
         match frame:
             case wire.Setpoint():
-                inside = settings.sp_min <= frame.sp <= settings.sp_max
-                return self._obey(wire.Kind.SETPOINT, frame, inside=inside, act=self._take_setpoint)
+                kind, inside = wire.Kind.SETPOINT, settings.sp_min <= frame.sp <= settings.sp_max
             case wire.Mode():
                 inside = settings.co_min <= frame.co <= settings.co_max or frame.mode == LoopMode.AUTO
-                return self._obey(wire.Kind.MODE, frame, inside=inside, act=self._take_mode)
+                kind = wire.Kind.MODE
             case wire.Load():
-                return self._obey(wire.Kind.LOAD, frame, inside=True, act=self._take_load)
-
-    def _obey(self, kind: wire.Kind, frame: Command, *, inside: bool, act: Callable[[Command], None]) -> wire.Ack:
-        """Act once on a newer frame, answer a repeated one again, refuse an older one."""
+                kind, inside = wire.Kind.LOAD, True
         if not self.lease.allows(frame.owner):
             return wire.Ack(kind, frame.counter, wire.Reason.NOT_OWNER, frame.counter)
         last = self._last.get(kind)
@@ -307,18 +301,14 @@ class VirtualDevice:
             return wire.Ack(kind, frame.counter, wire.Reason.OUT_OF_RANGE, frame.counter)
         if frame != last:
             self._last[kind] = frame
-            act(frame)
+            match frame:
+                case wire.Setpoint():
+                    self.sp = frame.sp
+                case wire.Mode():
+                    self.auto, self._manual_co = frame.mode == LoopMode.AUTO, frame.co
+                case wire.Load():
+                    self.load = frame.load
         return wire.Ack(kind, frame.counter, wire.Reason.OK, frame.counter)
-
-    def _take_setpoint(self, frame: wire.Setpoint) -> None:
-        self.sp = frame.sp
-
-    def _take_mode(self, frame: wire.Mode) -> None:
-        self.auto = frame.mode == LoopMode.AUTO
-        self._manual_co = frame.co
-
-    def _take_load(self, frame: wire.Load) -> None:
-        self.load = frame.load
 
     def _life_sign(self) -> list[wire.DeviceFrame]:
         pages = self.pages

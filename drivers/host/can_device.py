@@ -10,6 +10,7 @@ them out.
 from collections.abc import Callable
 from enum import Enum
 
+from retuner.adaptive.signals.sample import LoopMode
 from retuner.drivers.bus.link_settings import FramePort
 from retuner.drivers.device import (
     CommandFailed,
@@ -117,8 +118,7 @@ class CanDevice:
         self.commands = CommandSender(settings.reply_s, settings.owner, self._codec.encode)
         self.sequence = SequenceNumbers()
         self.probation = Probation(settings.probation_samples)
-        self._joiner = SampleJoiner(settings.sample_time_s, settings.variable, settings.node)
-        self._joiner.go_on_after(after_s)
+        self._joiner = SampleJoiner(settings.sample_time_s, settings.variable, settings.node, after_s)
         self._contact = Contact(settings.silent_s, settings.connect_s)
         self._sample_s = self._ask_s = float("-inf")
         self._told_wrong = ""  # what was told of a device that is not the right one
@@ -316,24 +316,16 @@ class CanDevice:
 
     def _ask(self, now_s: float) -> None:
         """Ask who is there, or what runs, as long as it is not known."""
-        phase, belief = self.machine.phase, self._belief
-        if phase is ConnectPhase.CONNECTED and not belief.doubtful:
+        phase, belief, reads = self.machine.phase, self._belief, self._reads
+        who = phase is ConnectPhase.SEARCHING or belief.unidentified
+        if (phase is ConnectPhase.CONNECTED and not belief.doubtful) or (reads and not who):
             self._ask_s = now_s
-            return
-        reads = self._reads
-        if phase is ConnectPhase.SEARCHING:
-            page = frames.Page.IDENTITY
-        elif belief.unidentified or not reads:
-            page = frames.Page.RUNNING
-        else:
-            self._ask_s = now_s
-            return
-        if now_s >= self._ask_s:
+        elif now_s >= self._ask_s:
             self._ask_s = now_s + self.settings.reply_s
-            if page is frames.Page.RUNNING and self._belief.unidentified:
+            if who:
                 self._send(self._reader.ask(frames.Page.IDENTITY))
-            if not reads or page is frames.Page.IDENTITY:
-                self._send(self._reader.ask(page))
+            if phase is not ConnectPhase.SEARCHING and not reads:
+                self._send(self._reader.ask(frames.Page.RUNNING))
 
     def _send_due(self, now_s: float) -> None:
         """What the lease, the write and the commands want to send now."""
@@ -389,15 +381,18 @@ class CanDevice:
 
     def send_setpoint(self, sp: float, now_s: float) -> None:
         """Set the target in pv units: see device.Device."""
-        self._command(lambda: self.commands.setpoint(sp), now_s)
+        owner = self.settings.owner
+        self._command(frames.Kind.SETPOINT, lambda counter: frames.Setpoint(counter, sp, owner), now_s)
 
     def send_mode(self, *, auto: bool, co: float, now_s: float) -> None:
         """Auto, or manual with co percent: see device.Device."""
-        self._command(lambda: self.commands.mode(auto=auto, co=co), now_s)
+        mode, owner = LoopMode.AUTO if auto else LoopMode.MANUAL, self.settings.owner
+        self._command(frames.Kind.MODE, lambda counter: frames.Mode(counter, mode, co, owner), now_s)
 
     def send_load(self, load: float, now_s: float) -> None:
         """Disturb a simulated plant, percent of co: see device.Device."""
-        self._command(lambda: self.commands.load(load), now_s)
+        owner = self.settings.owner
+        self._command(frames.Kind.LOAD, lambda counter: frames.Load(counter, load, owner), now_s)
 
     def store(self, now_s: float) -> None:
         """Keep the running set: see device.Device."""
@@ -406,7 +401,8 @@ class CanDevice:
             raise self._refused("the active gains are unknown, so they cannot be stored")
         if running.seq == self.probation.seq:
             raise self._refused(f"set {running.seq} is on probation; store it once it is confirmed")
-        self._command(lambda: self.commands.store(running.seq), now_s)
+        frame = frames.Store(running.seq, self.settings.owner % frames.STORE_TAG)
+        self._command(frames.Kind.STORE, lambda _: frame, now_s, running.seq)
 
     def confirm(self, now_s: float) -> bool:
         """Confirm the running set without any more probation; whether it is: see device.Device."""
@@ -434,9 +430,11 @@ class CanDevice:
         self.lease.release()
         self._send_due(now_s)
 
-    def _command(self, put: Callable[[], None], now_s: float) -> None:
+    def _command(
+        self, kind: frames.Kind, make: Callable[[int], frames.Frame], now_s: float, number: int | None = None
+    ) -> None:
         try:
-            put()
+            self.commands.put(kind, make, number)
         except FrameError as error:
             raise self._refused(str(error)) from error
         self._send_due(now_s)

@@ -22,7 +22,19 @@ def read_key(path: Path) -> bytes:
     write it, or it does not hold a whole number of bytes, at least 16, as hexadecimal digits.
     """
     try:
-        text = _private_text(path)
+        handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0))
+        with os.fdopen(handle, "rb") as file:  # what is checked is what is read: the open file itself
+            about = os.fstat(handle)
+            if not stat.S_ISREG(about.st_mode):
+                raise KeyFileError(f"key file {path}: not a plain file")
+            if os.name == "posix" and about.st_uid not in {os.getuid(), 0}:
+                raise KeyFileError(f"key file {path}: belongs to user {about.st_uid}; it must be yours")
+            if os.name == "posix" and about.st_mode & OTHERS:
+                mode = f"{stat.S_IMODE(about.st_mode):o}"
+                raise KeyFileError(f"key file {path}: others can read or write it (mode {mode}); chmod 600 {path}")
+            if about.st_size > LARGEST:
+                raise KeyFileError(f"key file {path}: {about.st_size} bytes; a key has at most {LARGEST}")
+            text = file.read(LARGEST)
     except OSError as error:
         raise KeyFileError(f"key file {path}: {error.strerror or error}") from error
     try:
@@ -34,21 +46,3 @@ def read_key(path: Path) -> bytes:
     if len(key) < KEY_BYTES_MIN:
         raise KeyFileError(f"key file {path}: {len(key)} bytes; give at least {KEY_BYTES_MIN} (32 digits)")
     return key
-
-
-def _private_text(path: Path) -> bytes:
-    """What is in the file, after a look at the open file itself: what is checked is what is read."""
-    handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0))
-    with os.fdopen(handle, "rb") as file:
-        about = os.fstat(handle)
-        if not stat.S_ISREG(about.st_mode):
-            raise KeyFileError(f"key file {path}: not a plain file")
-        if os.name == "posix" and about.st_uid not in {os.getuid(), 0}:
-            raise KeyFileError(f"key file {path}: belongs to user {about.st_uid}; it must be yours")
-        if os.name == "posix" and about.st_mode & OTHERS:
-            raise KeyFileError(
-                f"key file {path}: others can read or write it (mode {stat.S_IMODE(about.st_mode):o}); chmod 600 {path}"
-            )
-        if about.st_size > LARGEST:
-            raise KeyFileError(f"key file {path}: {about.st_size} bytes; a key has at most {LARGEST}")
-        return file.read(LARGEST)

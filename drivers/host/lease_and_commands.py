@@ -11,22 +11,8 @@ import threading
 from collections import deque
 from collections.abc import Callable
 
-from retuner.adaptive.signals.sample import LoopMode
 from retuner.drivers.device import CommandDone, CommandFailed, LeaseChanged
-from retuner.drivers.protocol.frames import (
-    STORE_TAG,
-    Ack,
-    Confirm,
-    Frame,
-    Kind,
-    Lease,
-    Load,
-    Mode,
-    Reason,
-    Setpoint,
-    Store,
-    reason_text,
-)
+from retuner.drivers.protocol.frames import Ack, Confirm, Frame, Kind, Lease, Reason, reason_text
 from retuner.schedule.late_dataclass import dataclass
 
 PROLONG_AT = 1 / 3  # of the lease's length
@@ -91,9 +77,8 @@ class LeaseKeeper:
         """
         with self._lock:
             unattended_s = now_s - self._polled_s
-            if not self.held or self._ending or now_s < self._next_s:
-                return []
-            if unattended_s > UNATTENDED * self._length_s:
+            kept = self.held and not self._ending and unattended_s <= UNATTENDED * self._length_s
+            if not kept or now_s < self._next_s:
                 return []
             self._asked.append(now_s)
             self._next_s = now_s + self._length_s * PROLONG_AT
@@ -159,33 +144,18 @@ class CommandSender:
         self._counters: dict[Kind, int] = {}
         self._waiting: dict[Kind, _Waiting] = {}
 
-    def setpoint(self, sp: float) -> None:
-        """Set the target, pv unit."""
-        self._put(Kind.SETPOINT, lambda counter: Setpoint(counter, sp, self._owner))
-
-    def mode(self, *, auto: bool, co: float) -> None:
-        """Auto, or manual with co percent."""
-        mode = LoopMode.AUTO if auto else LoopMode.MANUAL
-        self._put(Kind.MODE, lambda counter: Mode(counter, mode, co, self._owner))
-
-    def load(self, load: float) -> None:
-        """Disturb a simulated plant, percent of co."""
-        self._put(Kind.LOAD, lambda counter: Load(counter, load, self._owner))
-
-    def store(self, seq: int) -> None:
-        """Keep set seq over a restart."""
-        self._put(Kind.STORE, lambda _: Store(seq, self._owner % STORE_TAG), seq)
-
     def confirm(self, seq: int) -> None:
         """Set seq has proved itself."""
-        self._put(Kind.CONFIRM, lambda _: Confirm(seq, self._owner), seq)
+        self.put(Kind.CONFIRM, lambda _: Confirm(seq, self._owner), seq)
 
     def waits(self, kind: Kind) -> bool:
         """Whether a command of this kind is not acknowledged yet."""
         return kind in self._waiting
 
-    def _put(self, kind: Kind, make: Callable[[int], Frame], number: int | None = None) -> None:
-        """Send a command from the next `due` on; number takes the counter's place in its acknowledge."""
+    def put(self, kind: Kind, make: Callable[[int], Frame], number: int | None = None) -> None:
+        """Send a command from the next `due` on, if check takes it. make : its frame for a counter. number : what its
+        acknowledge carries in place of the counter.
+        """
         self._check(make(0))
         if number is None:
             number = self._counters[kind] = (self._counters.get(kind, 0) + 1) % COUNTER_WRAP

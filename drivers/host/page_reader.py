@@ -5,6 +5,7 @@ to an older question cannot pass for the present state: the answers repeat the t
 covers all of it.
 """
 
+from contextlib import suppress
 from typing import NamedTuple
 
 from retuner.drivers.protocol import frames as wire
@@ -60,28 +61,24 @@ class PageReader:
         question = self._asked.get(frame.page)
         if question is None or frame.token != question.token % wire.PAGE_TAG:
             return None
+        items, ends = question.items, question.ends
         if isinstance(frame, wire.PageEnd):
-            question.ends[:] = [frame]
+            ends[:] = [frame]
         else:
-            question.items[frame.item] = frame
-        return self._whole(question) if question.ends else None
+            items[frame.item] = frame
+        if not ends:
+            return None
+        end = ends[0]
+        if end.complete and (len(items) < len(wire.Item) or any(item.seq != end.seq for item in items.values())):
+            return None
+        del self._asked[end.page]
+        gains = None
+        if end.complete:
+            with suppress(ValueError):
+                gains = PidGains(*(items[item].value for item in wire.Item))
+        return ReadBack(end.page, end.seq, gains, end.crc, question.token)
 
     def is_newest(self, challenge: wire.Challenge) -> bool:
         """Whether this answers the newest question for the challenge."""
         question = self._asked.get(wire.Page.CHALLENGE)
         return question is not None and challenge.token == question.token % wire.CHALLENGE_TAG
-
-    def _whole(self, question: _Question) -> ReadBack | None:
-        end = question.ends[0]
-        if not end.complete:
-            del self._asked[end.page]
-            return ReadBack(end.page, end.seq, None, end.crc, question.token)
-        items = question.items
-        if len(items) < len(wire.Item) or any(item.seq != end.seq for item in items.values()):
-            return None
-        del self._asked[end.page]
-        try:
-            gains = PidGains(items[wire.Item.KP].value, items[wire.Item.KI].value, items[wire.Item.KD].value)
-        except ValueError:
-            return ReadBack(end.page, end.seq, None, end.crc, question.token)
-        return ReadBack(end.page, end.seq, gains, end.crc, question.token)

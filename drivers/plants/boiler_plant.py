@@ -73,20 +73,10 @@ class BoilerPlant:
         self._noise = MeasurementNoise(self.settings.noise_c, seed)
         self._flow_noise = MeasurementNoise(self.settings.flow_noise_pct, seed + 1)
         self.steady_co(start_c)
-        self._tank = self._sensor = start_c
+        self._tank = self.pv = start_c  # pv : of the sensor, without noise
         self._passed = 0.0  # nominal pipe seconds of water that have left the tank
         self._marks, self._temps = [0.0], [start_c]
-        self._aux = 100.0
-
-    @property
-    def pv(self) -> float:
-        """Sensor temperature in degC without noise."""
-        return self._sensor
-
-    @property
-    def aux(self) -> float:
-        """Measured flow in percent of the nominal flow, noise included: of the last step."""
-        return self._aux
+        self.aux = 100.0  # measured flow in percent of the nominal flow, noise included: of the last step
 
     def step(self, co: float, load: float, dt_s: float) -> float:
         """Hold co and load for dt_s and read the sensor: see plant.Plant."""
@@ -112,12 +102,12 @@ class BoilerPlant:
             else:
                 w = (mark - self._marks[i - 1]) / (self._marks[i] - self._marks[i - 1])
                 arriving = (1.0 - w) * self._temps[i - 1] + w * self._temps[i]
-            self._sensor = arriving + (self._sensor - arriving) * held
+            self.pv = arriving + (self.pv - arriving) * held
         if len(self._marks) > HISTORY_TRIM:
             used = max(bisect_right(self._marks, self._passed - self.settings.pipe_s) - 2, 0)
             del self._marks[:used], self._temps[:used]  # the water that has passed the sensor
-        self._aux = 100.0 * flow + self._flow_noise()
-        return self._sensor + self._noise()
+        self.aux = 100.0 * flow + self._flow_noise()
+        return self.pv + self._noise()
 
     def steady_co(self, pv: float, load: float = 0.0) -> float:
         """Output in percent that holds pv: see plant.Plant."""

@@ -41,12 +41,7 @@ class LinearPlant:
         state_space(process, 1.0)  # refuses what no plant can be
         self._dt_s = 0.0
         self._moved: HeldInput | None = None
-        self._pv = start_pv
-
-    @property
-    def pv(self) -> float:
-        """Reading without noise, pv units."""
-        return self._pv
+        self.pv = start_pv  # without noise
 
     def step(self, co: float, load: float, dt_s: float) -> float:
         """Hold co and load for dt_s and read the sensor: see plant.Plant. dt_s must stay that of the first step.
@@ -59,8 +54,8 @@ class LinearPlant:
         elif dt_s != self._dt_s:
             raise ValueError(f"dt_s = {dt_s}, but this plant was started with {self._dt_s}; keep one sampling interval")
         low, high = self._limits
-        self._pv = self._pv0 + self._moved.step(min(max(co, low), high) - self._co0 + load)
-        return self._pv + self._noise()
+        self.pv = self._pv0 + self._moved.step(min(max(co, low), high) - self._co0 + load)
+        return self.pv + self._noise()
 
     def steady_co(self, pv: float, load: float = 0.0) -> float:
         """Output in percent that holds pv: see plant.Plant."""

@@ -85,16 +85,11 @@ class OvenPlant:
     def __init__(self, settings: OvenSettings | None = None, start_c: float = 25.0, seed: int = 0) -> None:
         self.settings = settings or OvenSettings()
         self._noise = MeasurementNoise(self.settings.noise_c, seed)
-        self._chamber = self._sensor = start_c
+        self._chamber = self.pv = start_c  # pv : of the sensor, without noise
         self._t_s = 0.0
         power = self.settings.power(self.steady_co(start_c))
         self._times, self._powers, self._fired = [0.0], [power], [0.0]  # since when, W, J fired until then
         self._read_to_s = -self.settings.theta(start_c)
-
-    @property
-    def pv(self) -> float:
-        """Sensor temperature in degC without noise."""
-        return self._sensor
 
     def step(self, co: float, load: float, dt_s: float) -> float:
         """Hold co and load for dt_s and read the sensor: see plant.Plant."""
@@ -112,7 +107,7 @@ class OvenPlant:
         if len(self._times) > HISTORY_TRIM:
             used = max(bisect_right(self._times, self._read_to_s) - 1, 0)
             del self._times[:used], self._powers[:used], self._fired[:used]  # nothing reads them any more
-        return self._sensor + self._noise()
+        return self.pv + self._noise()
 
     def _arriving(self) -> float:
         """Mean power in W that reaches the chamber in the step that ends now."""
@@ -130,7 +125,7 @@ class OvenPlant:
 
     def _integrate(self, power_w: float, dt_s: float) -> None:
         """One Runge-Kutta step of (chamber, sensor) under constant power."""
-        settings, t0, s0, lag = self.settings, self._chamber, self._sensor, self.settings.tau_sensor_s
+        settings, t0, s0, lag = self.settings, self._chamber, self.pv, self.settings.tau_sensor_s
         half = dt_s / 2
         a1, b1 = (power_w - settings.loss(t0)) / settings.capacity(t0), (t0 - s0) / lag
         t, s = t0 + half * a1, s0 + half * b1
@@ -140,7 +135,7 @@ class OvenPlant:
         t, s = t0 + dt_s * a3, s0 + dt_s * b3
         a4, b4 = (power_w - settings.loss(t)) / settings.capacity(t), (t - s) / lag
         self._chamber = t0 + dt_s * (a1 + 2 * (a2 + a3) + a4) / 6
-        self._sensor = s0 + dt_s * (b1 + 2 * (b2 + b3) + b4) / 6
+        self.pv = s0 + dt_s * (b1 + 2 * (b2 + b3) + b4) / 6
 
     def steady_co(self, pv: float, load: float = 0.0) -> float:
         """Output in percent that holds pv, by bisection of the rising power characteristic: see plant.Plant."""

@@ -10,14 +10,10 @@ import sys
 import traceback
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
-from retuner.drivers.plants.foreign_model import ModelSpec, PlantFaultError
+from retuner.drivers.plants.foreign_model import ModelSpec, PlantFaultError, PlantModel
 from retuner.drivers.plants.plant_process import FLOATS, TROUBLE
-
-if TYPE_CHECKING:
-    from retuner.drivers.plants.fmu_model import FmuModel
-    from retuner.drivers.plants.python_model import PythonModel
 
 
 def main(handle: int) -> None:
@@ -25,10 +21,17 @@ def main(handle: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the device's to answer
     pipe = Connection(os.dup(handle))
     sys.path.append(str(Path.cwd()))  # behind everything: a folder of the user's must not stand before a package
-    spec = pickle.loads(pipe.recv_bytes())  # noqa: S301  from this program's own other half
-    model = None
+    spec: ModelSpec = pickle.loads(pipe.recv_bytes())  # noqa: S301  from this program's own other half
+    model: Any = None
     try:
-        model = _made(spec)
+        if spec.kind == "fmu":
+            from retuner.drivers.plants.fmu_model import FmuModel  # noqa: PLC0415  an extra
+
+            model = FmuModel(spec)
+        else:
+            from retuner.drivers.plants.python_model import PythonModel  # noqa: PLC0415
+
+            model = PythonModel(spec)
         told = {"readings": [*map(float, model.readings)], "described": model.described()}
         _send(pipe, FLOATS + json.dumps(told).encode())
         _answer(pipe, model, len(spec.inputs) or 1)
@@ -42,17 +45,7 @@ def main(handle: int) -> None:
             pipe.close()
 
 
-def _made(spec: ModelSpec) -> "PythonModel | FmuModel":
-    if spec.kind == "fmu":
-        from retuner.drivers.plants.fmu_model import FmuModel  # noqa: PLC0415  an extra
-
-        return FmuModel(spec)
-    from retuner.drivers.plants.python_model import PythonModel  # noqa: PLC0415
-
-    return PythonModel(spec)
-
-
-def _answer(pipe: Connection, model: "PythonModel | FmuModel", count: int) -> None:
+def _answer(pipe: Connection, model: PlantModel, count: int) -> None:
     """Step by step, for as long as somebody asks."""
     question = struct.Struct(f"<{count + 1}d")
     while True:

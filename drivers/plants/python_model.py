@@ -72,7 +72,11 @@ class PythonModel:
             self.step(spec.start, spec.settle_s)
         first = getattr(self._plant, "pv", None)
         self.readings = self._told(first) if first is not None else self.step(spec.start, FIRST_STEP_S)
-        if first is not None and (other := _copied(self._plant)) is not None:
+        if first is not None:
+            try:
+                other = copy.deepcopy(self._plant)
+            except Exception:  # noqa: BLE001  a user's class may raise anything there
+                return
             self._stepped(other, spec.start, FIRST_STEP_S)  # a name that the class does not know is told before the run
 
     def step(self, inputs: Sequence[float], dt_s: float) -> Sequence[float]:
@@ -107,13 +111,6 @@ class PythonModel:
             if name not in given:
                 raise PlantFaultError(missing_name("output", name, [*map(str, given)]), "output")
         return [_number(name, given[name]) for name in names]
-
-
-def _copied(plant: object) -> Any:  # noqa: ANN401  the user's
-    try:
-        return copy.deepcopy(plant)
-    except Exception:  # noqa: BLE001  a user's class may raise anything there
-        return None
 
 
 def _number(name: str, value: Any) -> float:  # noqa: ANN401  whatever a user's class returns

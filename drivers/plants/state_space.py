@@ -44,17 +44,17 @@ class StateSpaceModel:
         self._copies: dict[tuple[float, tuple[bool, ...]], _Copy] = {}
         self._parts: list[list[tuple[_Copy, FloatArray, FloatArray]]] = []  # by output: copy, its row of C and of D
         for i, row in enumerate(theta.tolist()):
-            self._parts.append([self._part(i, [one == theta_s for one in row], theta_s) for theta_s in sorted({*row})])
+            parts = []  # what reaches an output with each dead time
+            for late_s in sorted({*row}):
+                reaching = [one == late_s for one in row]
+                mask = np.array(reaching, dtype=np.float64)
+                copy = self._copies.setdefault((late_s, (*reaching,)), _Copy(self._a, self._b * mask, late_s))
+                parts.append((copy, self._c[i], self._d[i] * mask))
+            self._parts.append(parts)
         self._longest_s = float(theta.max(initial=0.0))
         self._times, self._held = [0.0], [np.zeros(inputs)]  # since when, which inputs; before: none
         self._t_s = 0.0
         self.readings: Sequence[float] = [0.0] * outputs
-
-    def _part(self, output: int, reaching: list[bool], theta_s: float) -> "tuple[_Copy, FloatArray, FloatArray]":
-        """What reaches an output with one dead time; reaching : which inputs do."""
-        mask = np.array(reaching, dtype=np.float64)
-        copy = self._copies.setdefault((theta_s, (*reaching,)), _Copy(self._a, self._b * mask, theta_s))
-        return copy, self._c[output], self._d[output] * mask
 
     def step(self, inputs: Sequence[float], dt_s: float) -> Sequence[float]:
         """See model.PlantModel."""

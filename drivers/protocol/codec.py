@@ -118,8 +118,18 @@ class BitLayout:
         self._plain = tuple((i, place[p.signals[0].name]) for i, p in enumerate(pieces) if not p.is_group)
         groups = [(i, p) for i, p in enumerate(pieces) if p.is_group and not p.is_alone]
         self._wide = tuple((i, p.length) for i, p in groups if 8 * p.length not in CODES)
-        self._odd = tuple(_odd(i, p.start, s, place[s.name]) for i, p in groups for s in p.signals)
-        self._alone = tuple(_alone(i, p, place[p.signals[0].name]) for i, p in enumerate(pieces) if p.is_alone)
+        self._odd = tuple(
+            _Odd(
+                i, s.start - 8 * p.start, (1 << s.length) - 1, 1 << s.length - 1 if s.is_signed else 0,
+                s.scale, s.offset, place[s.name],
+            )
+            for i, p in groups for s in p.signals
+        )  # fmt: skip
+        alone = [(i, p.length, p.signals[0]) for i, p in enumerate(pieces) if p.is_alone]
+        self._alone = tuple(
+            _Alone(i, 8 * length not in CODES, length, s.is_signed, s.scale, s.offset, place[s.name])
+            for i, length, s in alone
+        )
         self._is_direct = not self._odd and not self._alone
         self._blank = [0] * len(pieces)
         source = {at: slot for slot, at in self._plain} | {field.place: field.slot for field in self._alone}
@@ -206,18 +216,6 @@ def _reach(signal: Signal) -> tuple[float, float]:
     return min(ends), max(ends)
 
 
-def _alone(slot: int, piece: _Piece, place: int) -> _Alone:
-    signal = piece.signals[0]
-    is_bytes = 8 * piece.length not in CODES
-    return _Alone(slot, is_bytes, piece.length, signal.is_signed, signal.scale, signal.offset, place)
-
-
-def _odd(slot: int, start: int, signal: Signal, place: int) -> _Odd:
-    """What is known beforehand of a signal in the group that begins with byte `start`."""
-    sign = 1 << signal.length - 1 if signal.is_signed else 0
-    return _Odd(slot, signal.start - 8 * start, (1 << signal.length) - 1, sign, signal.scale, signal.offset, place)
-
-
 # A DBC text to a database, every way to fail told in one line.
 #
 # cantools takes a lot: of damaged DBC files one in eight is read without complaint, with other names, places or scales.
@@ -287,7 +285,6 @@ class _Plan:
 
     layout: Layout
     bits: BitLayout
-    type: type[Frame]
     make: Callable[..., Frame]
     values: Callable[[Frame], Sequence[float]]
     names: tuple[str, ...]
@@ -314,24 +311,19 @@ def plans_of(database: Database, source: str) -> dict[int, _Plan]:
         node, command = divmod(layout.frame_id, 1 << COMMAND_BITS)
         if node != 1 or layout.is_extended_frame or command in plans:
             raise DbcError(f"{source}: {layout.name}: id {layout.frame_id} is not the id of a frame of node 1")
-        plans[command] = _plan(layout, source)
+        make = NAMES[layout.name]
+        by_field = {signal.name.lower(): signal for signal in layout.signals}
+        names = [field.name for field in fields(make)]
+        if set(by_field) - {CHECKSUM.lower()} != set(names) or len(by_field) != len(layout.signals):
+            odd = ", ".join(sorted(set(by_field) ^ set(names)))
+            raise DbcError(f"{source}: {layout.name} lacks the signals of this protocol: {odd}")
+        signals = tuple(by_field[name].name for name in names)
+        try:
+            bits = BitLayout(layout, signals)
+        except (ValueError, OverflowError) as error:  # the second: a limit with hundreds of digits
+            raise DbcError(f"{source}: {layout.name}: {error}") from None
+        plans[command] = _Plan(layout, bits, make, _values(names), signals, CHECKSUM.lower() in by_field)
     return plans
-
-
-def _plan(layout: Layout, source: str) -> _Plan:
-    make = NAMES[layout.name]
-    by_field = {signal.name.lower(): signal for signal in layout.signals}
-    names = [field.name for field in fields(make)]
-    if set(by_field) - {CHECKSUM.lower()} != set(names) or len(by_field) != len(layout.signals):
-        odd = ", ".join(sorted(set(by_field) ^ set(names)))
-        raise DbcError(f"{source}: {layout.name} lacks the signals of this protocol: {odd}")
-    try:
-        bits = BitLayout(layout, [by_field[name].name for name in names])
-    except (ValueError, OverflowError) as error:  # the second: a limit with hundreds of digits
-        raise DbcError(f"{source}: {layout.name}: {error}") from None
-    return _Plan(
-        layout, bits, make, make, _values(names), tuple(by_field[n].name for n in names), CHECKSUM.lower() in by_field
-    )
 
 
 def _values(names: list[str]) -> Callable[[Frame], Sequence[float]]:
@@ -403,7 +395,7 @@ class Codec:
             raise ValueError(f"node = {node}; give a node from 1 to {HIGHEST_NODE}")
         self.node = node
         self._by_id = {node << COMMAND_BITS | command: plan for command, plan in _plans().items()}
-        self._by_type = {plan.type: (id_, plan) for id_, plan in self._by_id.items()}
+        self._by_type: dict[object, tuple[int, _Plan]] = {plan.make: (id_, plan) for id_, plan in self._by_id.items()}
 
     def encode(self, frame: Frame) -> can.Message:
         """The frame as a classic CAN message.
