@@ -111,7 +111,8 @@ def _walks(record: Prepared, walk: FloatArray, answers: FloatArray, direction: i
     any_spectrum = float(np.max(log_likelihood_of_answers(record, direction, unit, asked)))
     rows = len(record.pv) - ORDER
     freedom = rows - ORDER
-    lead = rows * (any_spectrum / freedom + 0.5 * math.log(freedom / len(record.pv)) - best_a_row(record, walk))
+    by_answers = any_spectrum / freedom + 0.5 * math.log(freedom / len(record.pv) / record.size)
+    lead = rows * (by_answers - best_a_row(record, walk))
     return 1.0 / (1.0 + math.exp(min((lead - ORDER) / T_LOADS, MOST_LEAD)))
 
 

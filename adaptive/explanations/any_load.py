@@ -40,7 +40,8 @@ def log_likelihood_of_answers(record: Prepared, direction: int, gain_unit: float
     """Log-likelihood of every process of the grid, a load of any spectrum besides; not tempered.
 
     direction : sign of the process gain. gain_unit : loop gains are counted by it (process_grid.gain_unit). asked :
-    processes that are asked for, shape (shapes, dead times, gains), which the answer has; others are -inf.
+    processes that are asked for, shape (shapes, dead times, gains), which the answer has; others are -inf. Squares count
+    in pv's variance, for freedoms differ: in pv's own units the odds would hang on these.
     """
     gains, rows = direction * GAINS * units(EVERY_LAG)[:, :, 0] / gain_unit, len(record.pv) - ORDER
     spans, dead, found = spans_of(asked), np.array(DEAD_TIMES), np.where(asked, 0.0, -math.inf)
@@ -48,7 +49,7 @@ def log_likelihood_of_answers(record: Prepared, direction: int, gain_unit: float
         if (late := np.flatnonzero(asked[row].any(axis=1))).size:
             left = _left(record, shape, dead[late], gains[row], spans[row, late], rows * record.resolution**2)
             freedom = rows - ORDER - 1 - (shape.lag > 0) - (shape.second > 0)
-            found[row, late] = -0.5 * freedom * np.log(left)
+            found[row, late] = -0.5 * freedom * np.log(left / record.size)
     return np.where(asked, found, -math.inf)
 
 

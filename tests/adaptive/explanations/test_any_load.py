@@ -86,7 +86,8 @@ def test_what_is_left_is_that_of_least_squares_on_its_past(name: str) -> None:
     left = np.linalg.lstsq(np.vstack([columns, ridge]), np.concatenate([v[ORDER:], np.zeros(ORDER)]), rcond=None)[1]
     with engine.using(name):
         found = log_likelihood_of_answers(record, 1, 1.0, some((row, dead, gain)))[row, dead, gain]
-    assert found == pytest.approx(-0.5 * (rows - ORDER - 2) * math.log(float(left[0]) + floor**2), rel=1e-6)
+    counted = (float(left[0]) + floor**2) / float(np.var(record.pv))
+    assert found == pytest.approx(-0.5 * (rows - ORDER - 2) * math.log(counted), rel=1e-6)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -100,6 +101,15 @@ def test_both_engines_give_the_same_and_only_what_is_asked(seed: int) -> None:
             found.append(log_likelihood_of_answers(drawn_record(seed, 90 + 200 * seed), -1, 2.0, asked))
         assert np.array_equal(np.isfinite(found[-1]), asked)
     assert found[0][asked] == pytest.approx(found[1][asked], abs=0.01)  # a fifth of a level of the book
+
+
+def test_the_unit_of_pv_says_nothing_of_the_lags() -> None:
+    """A second lag has a freedom less, which counted by the logarithm of pv's unit."""
+    record, asked = drawn_record(5), some((0, 4, 35), (9, 4, 35), (10, 4, 35), (len(shapes()), 4, 35))
+    thousand = Prepared(1000.0 * record.pv, record.co, 1000.0 * record.resolution, 1.0)
+    found = log_likelihood_of_answers(record, 1, 1.0, asked)
+    again = log_likelihood_of_answers(thousand, 1, 1e-3, asked)
+    assert again[asked] == pytest.approx(found[asked], abs=1e-6)
 
 
 def test_a_window_shorter_than_the_past_says_nothing() -> None:
