@@ -40,8 +40,8 @@ def log_likelihood_of_answers(record: Prepared, direction: int, gain_unit: float
     """Log-likelihood of every process of the grid, a load of any spectrum besides; not tempered.
 
     direction : sign of the process gain. gain_unit : loop gains are counted by it (process_grid.gain_unit). asked :
-    processes that are asked for, shape (shapes, dead times, gains), which the answer has; others are -inf. Squares count
-    in pv's variance, for freedoms differ: in pv's own units the odds would hang on these.
+    processes that are asked for, shape (shapes, dead times, gains), which the answer has; others are -inf. Squares
+    count in pv's variance, for freedoms differ: in pv's own units the odds would hang on these.
     """
     gains, rows = direction * GAINS * units(EVERY_LAG)[:, :, 0] / gain_unit, len(record.pv) - ORDER
     spans, dead, found = spans_of(asked), np.array(DEAD_TIMES), np.where(asked, 0.0, -math.inf)
