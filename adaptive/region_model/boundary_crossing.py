@@ -38,7 +38,6 @@ from retuner.adaptive.schedule_design.curves import inflation
 from retuner.adaptive.schedule_design.joint import CurveForm, Joint, Noise, noise_of, refined
 from retuner.adaptive.schedule_design.record_stretches import (
     SLOPE_STD,
-    Characteristic,
     CurveAxis,
     CurveShape,
     Stretch,
@@ -124,15 +123,22 @@ def in_motion(
         models of the record, from which it starts. curves : what other records say of co's curve.
     """
     every = -(-len(window.t_s) // MOST_ROWS)
-    stretch = Stretch(signals_of(window, x, every), 0, -(-len(window.t_s) // every), changed=True)
-    stretch = replace(stretch, end=len(stretch.signals.t_s))
+    signals = signals_of(window, x, every)
+    stretch = Stretch(signals, 0, len(signals.t_s), changed=True)
     joint = Joint.of([stretch])
     lagged = next((a.log.model() for a in alone.alternatives if a.log.type in _STARTS), None)
     if lagged is None:
         return ()
     lag = lagged.tau1_s + lagged.tau2_s
     centre = (math.log(abs(lagged.k) / lag), math.log(lagged.theta_s), math.log(lag))
-    form = CurveForm(axis, (CurveShape.BENT,) * 3, centre, 1 if lagged.k > 0 else -1, _felt(stretch, curves))
+    felt = over(
+        [stretch], CurveShape.LINE
+    )  # how co acts, as it is known before this record; None where co stands still
+    if felt is not None:
+        travel = felt.axis.high - felt.axis.low
+        known = before(curves, travel)
+        felt = replace(felt, slope=known.slope, doubt=known.std * travel / (2 * SLOPE_STD))
+    form = CurveForm(axis, (CurveShape.BENT,) * 3, centre, 1 if lagged.k > 0 else -1, felt)
     # where load steps enter by the linear models, but for those beside the setpoint's step: curves explain them
     near_s, changes = BESIDE * alone.log.model().theta_s, [stretch.signals.t_s[row] for row in stretch.signals.changes]
     entered = [t for t in alone.load_times_s if all(abs(t - at_s) > near_s for at_s in changes)]
@@ -144,16 +150,6 @@ def in_motion(
         found += [one, _fitted(replace(joint, loads=(loads,)), *_with_second_lag(one))]
     best = [min((f for f in found if f.type is t), key=lambda f: f.evidence) for t in _STARTS]
     return tuple(sorted(best, key=lambda one: one.evidence + len(one.form.shapes) * math.log(len(stretch))))
-
-
-def _felt(stretch: Stretch, curves: Sequence[CoCurve]) -> Characteristic | None:
-    """How co acts, as it is known before this record; None where co stands still."""
-    found = over([stretch], CurveShape.LINE)
-    if found is None:
-        return None
-    travel = found.axis.high - found.axis.low
-    known = before(curves, travel)
-    return replace(found, slope=known.slope, doubt=known.std * travel / (2 * SLOPE_STD))
 
 
 _STARTS = (ProcessType.FOPDT, ProcessType.SOPDT)
@@ -285,8 +281,11 @@ def update_across(crossing: Crossing, shown: FittedCrossing, region: int, known:
     elif not is_known:
         factor, needed = factors_text(2 * unsure, 2 * limit.gain_std_limit)
         reason = f"Response crossed a region boundary: by itself Kc uncertain by {factor}x (limit {needed}x)"
+    # as measurements of the region: R x = z + unit noise
+    roots = [np.linalg.cholesky(np.linalg.inv(log.p)).T for log in logs]
+    measured = zip(logs, shown.found, roots, strict=True)
     samples = len(crossing.window.t_s)
-    alternatives = [_alternative(log, one, samples) for log, one in zip(logs, shown.found, strict=True)]
+    alternatives = [Alternative(log, one.evidence, root, root @ log.x, samples) for log, one, root in measured]
     estimate = replace(
         alone,
         identifiable=is_known,
@@ -331,12 +330,6 @@ def _at_centre(crossing: Crossing, one: InMotion, region: int) -> LogModel:
             here, there = CurveAxis(axis.low, axis.high).columns(places, CurveShape.BENT)
             more += float(np.sum((there - here) ** 2))
     return widened(log, more)
-
-
-def _alternative(log: LogModel, one: InMotion, samples: int) -> Alternative:
-    """The record as a measurement of the region: R x = z + unit noise."""
-    root = np.linalg.cholesky(np.linalg.inv(log.p)).T
-    return Alternative(log, one.evidence, root, root @ log.x, samples)
 
 
 def _filtered(

@@ -5,7 +5,8 @@ every region, and how well that is known: places as the design of a schedule has
 which a set of gains keeps the limits or not. Whether the sets in force are the best ones is not asked here: that is
 seen to from response to response. A region with the set that serves it best is weighed against the same region with a
 boundary in it and the best set on either side, and against means of the sets at the centres. What is not known well
-counts for none of them, so doubt proposes nothing. Nothing is changed by it: a person takes it up, or leaves it.
+counts for none of them, so doubt proposes nothing. Nothing is changed by it: a person takes it up with `retuner
+approve`, or leaves it. Whether a region holds two processes, or two regions one, is asked by split_or_merge.py.
 
 Pure: a table and region models in, a proposal out.
 """
@@ -122,6 +123,7 @@ class Refinement:
         bounds = ", ".join(f"{bound:.4g}" for bound in self.table.regions.bounds)
         knots = ", ".join(f"{self.table.regions.centre(i):.4g}" for i in range(len(self.table.gains)))
         what = f"steps at {axis.label} = {bounds}" if hard else f"interpolation about {axis.label} = {knots}"
+        ms, then = (f"{x:.2f}" if math.isfinite(x) else "that of an unstable loop" for x in (self.ms, self.ms_then))
         return " ".join(
             [
                 *(one.sentence for one in self.wide),
@@ -129,7 +131,7 @@ class Refinement:
                 f"Ms {self.limits.ms:g} and {self.limits.j:g} times SIMC's IAE are then expected to hold at "
                 f"{self.kept_then:g} of {self.places} places. "
                 f"With the best set in each region as it is they hold at {self.kept:g}. "
-                f"The largest Ms is then {_ms(self.ms_then)} instead of {_ms(self.ms)}.",
+                f"The largest Ms is then {then} instead of {ms}.",
             ]
         )
 
@@ -149,10 +151,6 @@ class Refinement:
                 {"region": w.region, "kc_factor": w.kc_factor, "share": [w.share, w.share_then]} for w in self.wide
             ],
         }
-
-
-def _ms(value: float) -> str:
-    return f"{value:.2f}" if math.isfinite(value) else "that of an unstable loop"
 
 
 def proposed_boundaries(
@@ -188,20 +186,22 @@ def proposed_boundaries(
     whole = len(places) == len(table.regions)
     ways = [_interpolated(table, places, factor, wanted) for factor in CALMER] if whole else []
     most = max(MS_END, _largest_ms(table, places))
-    ways = [way for way in (*_split(table, places, now, wide, wanted), *ways) if _largest_ms(way[0], places) <= most]
+    ways = [*_with_boundaries(table, places, now, wide, wanted), *ways]
+    ways = [way for way in ways if _largest_ms(way[0], places) <= most]
     if not ways:
         return None
     best, served = max(ways, key=lambda way: (sum(way[1].values()), -_largest_ms(way[0], places)))
-    told = tuple(
-        _told(table, region, places[region], now[region].kept, served[region])
-        for region in wide
-        if served[region] - now[region].kept >= WORTH * len(places[region])
-    )
+    told = []
+    for region in wide:
+        n, before, after = len(places[region]), now[region].kept, served[region]
+        if after - before >= WORTH * n:
+            asked = [abs(place.own.kp) for place in places[region]]
+            told.append(TooWide(regions.names[region], max(asked) / min(asked), before / n, after / n))
     count, kept, then = sum(map(len, places.values())), sum(one.kept for one in now.values()), sum(served.values())
     if not told or then - kept < WORTH * PLACES:
         return None
     ms = max(sensitivity_peak(p.processes[0], now[region].gains) for region, row in places.items() for p in row)
-    return Refinement(best, count, kept, then, ms, _largest_ms(best, places), wanted, told)
+    return Refinement(best, count, kept, then, ms, _largest_ms(best, places), wanted, tuple(told))
 
 
 def _largest_ms(table: GainTable, places: Mapping[int, Sequence[Place]]) -> float:
@@ -217,7 +217,7 @@ def in_force(table: GainTable, x: float) -> PidGains:
 Way = tuple[GainTable, dict[int, float]]  # a schedule, and how many places of each present region it should serve
 
 
-def _split(
+def _with_boundaries(
     table: GainTable,
     places: Mapping[int, Sequence[Place]],
     now: Mapping[int, Best],
@@ -267,21 +267,6 @@ def _table_of(
     table: GainTable, names: tuple[str, ...], bounds: tuple[float, ...], sets: tuple[PidGains, ...], lookup: Lookup
 ) -> GainTable:
     axis = table.regions.axes[0]
-    regions = Regions(
-        axis.variable,
-        axis.unit,
-        names,
-        axis.low,
-        bounds,
-        axis.high,
-        axis.hysteresis,
-        axis.min_stay_s,
-        axis.filter_s,
-        axis.signal,
-    )
+    kept = axis.hysteresis, axis.min_stay_s, axis.filter_s, axis.signal
+    regions = Regions(axis.variable, axis.unit, names, axis.low, bounds, axis.high, *kept)
     return GainTable(table.loop, regions, sets, lookup, table.revision + 1)
-
-
-def _told(table: GainTable, region: int, row: Sequence[Place], served: float, kept: float) -> TooWide:
-    asked = [abs(place.own.kp) for place in row]
-    return TooWide(table.regions.names[region], max(asked) / min(asked), served / len(row), kept / len(row))

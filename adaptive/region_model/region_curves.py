@@ -73,7 +73,7 @@ def place_of_records(region_model: RegionModel, regions: Regions, region: int) -
 def open_curves(regions: Regions, d: int) -> RegionCurves:
     """The curves of d parameters before any record."""
     axes = tuple(CurveAxis(axis.low, axis.high) for axis in regions.axes)
-    size = d * _size(axes)
+    size = d * (1 + len(axes) * (int(CurveShape.BENT) - 1))  # a level, and slope and bends along every axis
     return RegionCurves(axes, np.zeros(d), np.zeros(size), np.eye(size))
 
 
@@ -117,38 +117,26 @@ def _through(regions: Regions, places: list[Place], logs: list[LogModel]) -> Reg
         solved = np.linalg.solve(log.p, np.concatenate([row, (log.x - centre)[:, None]], axis=1))
         precision += row.T @ solved[:, :-1]
         weighted += row.T @ solved[:, -1]
-    shaped = [_shaped(precision, weighted, _kept(axes, d, shape)) for shape in CurveShape]
+    # z, its covariance, and ln of the evidence up to what is common to all, of each shape: only its own coefficients
+    # may differ from zero
+    more, m, shaped = int(CurveShape.BENT) - 1, size // d, []
+    for shape in CurveShape:
+        own = [0, *(1 + k * more + j for k in range(len(axes)) for j in range(int(shape) - 1))]
+        kept = [i * m + j for i in range(d) for j in own]
+        whole = np.eye(len(kept)) + precision[np.ix_(kept, kept)]
+        z, p = np.zeros(size), np.zeros((size, size))
+        inside = np.linalg.inv(whole)
+        z[kept], p[np.ix_(kept, kept)] = inside @ weighted[kept], inside
+        shaped.append((z, p, 0.5 * float(weighted[kept] @ z[kept] - np.linalg.slogdet(whole)[1])))
     best = max(evidence for _, _, evidence in shaped)
     shares = np.array([math.exp(evidence - best) for _, _, evidence in shaped])
     shares *= (1 - OPEN) / np.sum(shares)
     shares[-1] += OPEN
-    mean = sum((share * z for share, (z, _, _) in zip(shares, shaped, strict=True)), np.zeros(len(weighted)))
-    p = np.zeros_like(precision)
-    for share, (z, own, _) in zip(shares, shaped, strict=True):
-        p += share * (own + np.outer(z - mean, z - mean))
-    return RegionCurves(axes, centre, mean, p)
-
-
-def _kept(axes: tuple[CurveAxis, ...], d: int, shape: CurveShape) -> list[int]:
-    more, m = int(CurveShape.BENT) - 1, _size(axes)
-    own = [0, *(1 + k * more + j for k in range(len(axes)) for j in range(int(shape) - 1))]
-    return [i * m + j for i in range(d) for j in own]
-
-
-def _shaped(precision: FloatArray, weighted: FloatArray, kept: list[int]) -> tuple[FloatArray, FloatArray, float]:
-    """z, its covariance, and ln of the evidence, up to what is common to all, where only some coefficients may differ
-    from zero. precision, weighted : what the regions say of all of them.
-    """
-    whole = np.eye(len(kept)) + precision[np.ix_(kept, kept)]
-    z, p = np.zeros(len(weighted)), np.zeros_like(precision)
-    inside = np.linalg.inv(whole)
-    z[kept], p[np.ix_(kept, kept)] = inside @ weighted[kept], inside
-    return z, p, 0.5 * float(weighted[kept] @ z[kept] - np.linalg.slogdet(whole)[1])
-
-
-def _size(axes: tuple[CurveAxis, ...]) -> int:
-    """Coefficients of a parameter: one level, and slope and bends along every axis."""
-    return 1 + len(axes) * (int(CurveShape.BENT) - 1)
+    mean = sum((share * z for share, (z, _, _) in zip(shares, shaped, strict=True)), np.zeros(size))
+    spread = np.zeros((size, size))
+    for share, (z, p, _) in zip(shares, shaped, strict=True):
+        spread += share * (p + np.outer(z - mean, z - mean))
+    return RegionCurves(axes, centre, mean, spread)
 
 
 def _rows(axes: tuple[CurveAxis, ...], place: Place, d: int) -> FloatArray:

@@ -13,9 +13,13 @@ same split in time (a process that changed is no second region), and when the se
 enough.
 
 Merge. Neighbours whose settings agree: the means of their records must place the ratio, with its uncertainty, within a
-factor at which nobody would keep two sets. What is not known does not agree. The uncertainty of a mean is widened by
-what its records scatter beyond what they claim, chi2/(2 (n - 1)) where that is more than 1 (Birge 1932). On a map of
-two axes a boundary runs through all rows or columns, and so does the proposal.
+factor at which nobody would keep two sets. Regions with too few records are never merged. The uncertainty of a mean is
+widened by what its records scatter beyond what they claim, chi2/(2 (n - 1)) where that is more than 1 (Birge 1932). On
+a map of two axes a boundary runs through all rows or columns, and so does the proposal.
+
+Whether a region's process suits one set is asked by proposed_boundaries.py; a person takes its proposal up with
+`retuner approve`. Boundaries are laid out anew from records alone by schedule_choice/boundaries_of_one_variable.py and
+boundaries_of_two_variables.py, for `retuner schedule`.
 
 Pure: region models in, advice out; nothing is changed.
 """
@@ -33,7 +37,8 @@ from retuner.adaptive.region_model.region_model import RecordPoint, RegionModel
 from retuner.adaptive.rules.simc import simc, without_second_lag
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.gains import to_ideal
-from retuner.schedule.late_dataclass import asdict, dataclass, replace
+from retuner.schedule.late_dataclass import dataclass, replace
+from retuner.schedule.plain_values import plain_values
 from retuner.schedule.regions import Axis, Regions
 
 # What a model asks of its controller, as two numbers with their covariance: (ln |Kc|, ln tau_I) of SIMC.
@@ -140,13 +145,8 @@ class RegionAdvice:
 
     def to_dict(self) -> dict[str, object]:
         """Plain values."""
-        return {
-            **asdict(self),
-            "kind": str(self.kind),
-            "regions": list(self.regions),
-            "records": list(self.records),
-            "sentence": self.sentence,
-        }
+        names = "kind regions axis unit border=boundary kc_factor tau_i_factor records statistic limit against_time"
+        return plain_values(self, f"{names} sentence")
 
 
 def region_advice(
@@ -259,8 +259,8 @@ def _advice(
     *numbers: float,
 ) -> RegionAdvice:
     """The advice on one boundary. apart : difference of the means in logarithms. numbers : what was weighed."""
-    gain, delay = math.exp(float(apart[0])), math.exp(float(apart[1]))
-    return RegionAdvice(kind, places, axis.label, axis.unit, boundary, gain, delay, counted, *numbers)
+    kc_factor, tau_i_factor = math.exp(float(apart[0])), math.exp(float(apart[1]))
+    return RegionAdvice(kind, places, axis.label, axis.unit, boundary, kc_factor, tau_i_factor, counted, *numbers)
 
 
 def _merges(

@@ -97,7 +97,15 @@ def joined(windows: Sequence[Window]) -> Window:
         own = window.condensed(-(-len(window.t_s) // _every(window, dt_s)))
         later = own.t_s > end_s
         own = own.part(slice(int(np.argmax(later)), None)) if np.sum(later) >= END_SAMPLES else own
-        parts.append(_after(parts[-1] if parts else None, own, dt_s))
+        unit = unit_of(own)
+        t_s, sp, pv, co = own.t_s - own.t_s[0], own.sp / unit, own.pv / unit, own.co / unit
+        if parts:
+            before = parts[-1]
+            pv, co = _going_on(pv, before.pv), _going_on(co, before.co)
+            t_s = float(before.t_s[-1]) + GAP_SAMPLES * dt_s + t_s
+            parts.append(Window(t_s, sp - sp[0] + before.sp[-1], pv, co))
+        else:
+            parts.append(Window(t_s, sp - sp[0], pv - sp[0], co - co[0]))
         end_s = float(window.t_s[-1])
     t_s, sp, pv, co = (np.concatenate([getattr(part, name) for part in parts]) for name in ("t_s", "sp", "pv", "co"))
     return Window(t_s, sp, pv, co)
@@ -106,17 +114,6 @@ def joined(windows: Sequence[Window]) -> Window:
 def _every(window: Window, dt_s: float) -> int:
     """Number of samples of which one is left at such an interval."""
     return max(round(dt_s / window.sample_time_s), 1)
-
-
-def _after(before: Window | None, window: Window, dt_s: float) -> Window:
-    """A record in its own unit, set after another one."""
-    unit = unit_of(window)
-    sp, pv, co = window.sp / unit, window.pv / unit, window.co / unit
-    t_s = window.t_s - window.t_s[0]
-    if before is None:
-        return Window(t_s, sp - sp[0], pv - sp[0], co - co[0])
-    start_s = float(before.t_s[-1]) + GAP_SAMPLES * dt_s
-    return Window(start_s + t_s, sp - sp[0] + before.sp[-1], _going_on(pv, before.pv), _going_on(co, before.co))
 
 
 def _going_on(values: FloatArray, before: FloatArray) -> FloatArray:
@@ -276,6 +273,7 @@ def _taken_in(region_model: RegionModel | None, record: NewRecord, in_force: Pid
         return Learned(kept, record.alone, Agreement.SILENT, 0.0)
     if region_model is None or region_model.log.sign != sign:
         return _first(record)
+    settled = region_model.known if region_model.identifiable and region_model.records else None
     elapsed_s = record.t_s - region_model.t_s
     moving = (moved(k, region_model, elapsed_s, settings.walk_per_record, ahead=False) for k in region_model.known)
     posterior = _posterior_of(tuple(moving), elapsed_s, record)
@@ -284,7 +282,7 @@ def _taken_in(region_model: RegionModel | None, record: NewRecord, in_force: Pid
     if together is not None:
         return replace(together, innovation=posterior.innovation)
     if record.alone.identifiable and not posterior.estimate.identifiable and not _holds(region_model, record):
-        return _first(record, region_model.known if region_model.identifiable and region_model.records else None)
+        return _first(record, settled)
     if posterior.innovation <= gate(len(region_model.log.x), settings.gate):
         # What was known explains the record; so may the alternative, and better
         alternative: tuple[StructureModel, ...] | None = None
@@ -293,17 +291,13 @@ def _taken_in(region_model: RegionModel | None, record: NewRecord, in_force: Pid
             lead = posterior.rise - other.rise
             if other.innovation <= gate(len(region_model.alternative[0].log.x), settings.gate):
                 if lead > settings.decisive:
-                    return Learned(
-                        other.region_model(2, record, points[-2:]),
-                        other.estimate,
-                        Agreement.CHANGED,
-                        posterior.innovation,
-                    )
+                    changed = other.region_model(2, record, points[-2:])
+                    return Learned(changed, other.estimate, Agreement.CHANGED, posterior.innovation)
                 alternative = other.known if lead > -settings.decisive else None
         now = replace(posterior.region_model(region_model.records + 1, record, points), alternative=alternative)
         return Learned(now, posterior.estimate, Agreement.AGREES, posterior.innovation)
     if not region_model.records or (record.alone.identifiable and not _holds(region_model, record)):
-        return _first(record, region_model.known if region_model.identifiable and region_model.records else None)
+        return _first(record, settled)
     return _contradicted(region_model, record, posterior.innovation, points, in_force)
 
 
@@ -352,9 +346,8 @@ def _together(
     last = windows[-1]
     unit, began_s = unit_of(last), float(whole.t_s[-1]) - float(last.t_s[-1] - last.t_s[0])
     own = tuple(float(last.t_s[0]) + t - began_s for t in found.load_times_s if t > began_s)
-    estimate = replace(
-        found, load_times_s=own, residual_std=found.residual_std * unit, noise_std=found.noise_std * unit
-    )
+    left, noise = found.residual_std * unit, found.noise_std * unit
+    estimate = replace(found, load_times_s=own, residual_std=left, noise_std=noise)
     known = _led([StructureModel(scattered(a.log, record.settings), a.evidence) for a in found.alternatives], record)
     now = _region_model(known, len(windows), record.t_s, points, estimate)
     now = replace(now, windows=windows if len(windows) < MOST_RECORDS else ())
@@ -404,9 +397,8 @@ def _contradicted(
         doubted = surprise_of(scattered(region_model.known[0].log, settings), alone)
         predicts = surprise_of(scattered(region_model.alternative[0].log, settings), alone) < doubted
         if predicts and posterior.innovation <= gate(len(region_model.alternative[0].log.x), settings.gate):
-            return Learned(
-                posterior.region_model(2, record, points[-2:]), posterior.estimate, Agreement.CHANGED, innovation
-            )
+            changed = posterior.region_model(2, record, points[-2:])
+            return Learned(changed, posterior.estimate, Agreement.CHANGED, innovation)
     if not alone.identifiable:
         return Learned(replace(region_model, alternative=None, points=points), alone, Agreement.CONTRADICTS, innovation)
     first = _first(record).region_model
@@ -415,9 +407,8 @@ def _contradicted(
     if all(sensitivity_peak(model.linear(), in_force) > settings.danger_ms for model in shown):
         opened = replace(first, alternative=region_model.known, points=points)
         return Learned(opened, alone, Agreement.OPENED, innovation)
-    return Learned(
-        replace(region_model, alternative=first.known, points=points), alone, Agreement.CONTRADICTS, innovation
-    )
+    waiting = replace(region_model, alternative=first.known, points=points)
+    return Learned(waiting, alone, Agreement.CONTRADICTS, innovation)
 
 
 def _posterior_of(known: tuple[StructureModel, ...], elapsed_s: float, record: NewRecord) -> Posterior:
