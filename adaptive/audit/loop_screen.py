@@ -34,8 +34,7 @@ from retuner.adaptive.indexes.condition import (
     escapes,
     runs_by_itself,
 )
-from retuner.adaptive.indexes.output_limits import runs
-from retuner.adaptive.indexes.recording_quality import quantum
+from retuner.adaptive.indexes.recording_quality import quantum, runs
 from retuner.adaptive.indexes.setpoint_responses import idle_index
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
@@ -228,7 +227,7 @@ def in_automatic(co: FloatArray, by: Measure, sums: RecordSums, limits: Sequence
     for side in limits if still else ():
         value = sums.co_low if side is sums.low else sums.co_high
         there = runs((np.diff(co) == 0) & (co[1:] == value))
-        still -= float(np.sum(there[there >= by.shortest]))
+        still -= sum(end - first for first, end in there if end - first >= by.shortest)
     return 1 - max(still, 0.0) / len(co)
 
 

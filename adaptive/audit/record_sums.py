@@ -10,8 +10,8 @@ import numpy as np
 
 from retuner.adaptive.fit.engine import compiled
 from retuner.adaptive.indexes.autocovariance import running_mean
-from retuner.adaptive.indexes.output_limits import STRETCH, is_limit, runs
-from retuner.adaptive.indexes.recording_quality import STRAIGHT
+from retuner.adaptive.indexes.output_limits import STRETCH, is_limit
+from retuner.adaptive.indexes.recording_quality import STRAIGHT, runs
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.late_dataclass import astuple, dataclass, fields
 
@@ -124,14 +124,14 @@ def counted(record: Window, by: Measure) -> RecordSums:
     steps_s, error = np.diff(record.t_s), sp - pv
     held_s = np.append(np.minimum(steps_s, by.longest_s), 0.0)
     moves, steps = np.diff(co), np.diff(pv)
-    still = runs(moves == 0)
+    still = [end - first for first, end in runs(moves == 0)]
     return RecordSums(
         float(np.sum(held_s)), float(np.sum(steps_s > by.longest_s)), float(np.mean(error)), float(np.var(error)),
         float(np.abs(error) @ held_s), float(np.sum(np.abs(moves))), _turns(co, by.band),
         float(np.count_nonzero(moves)), float(np.min(pv)), float(np.max(pv)), float(np.var(pv)),
         float(np.sum(np.abs(np.diff(steps)) <= STRAIGHT * float(np.ptp(pv)))), float(np.sum(steps == 0)),
         float(np.count_nonzero(np.diff(sp))), float(np.min(sp)), float(np.max(sp)),
-        float(np.sum(still[still >= by.shortest])), float(np.min(co)), float(np.max(co)), _slow(pv, by.width),
+        float(sum(n for n in still if n >= by.shortest)), float(np.min(co)), float(np.max(co)), _slow(pv, by.width),
         _slow(co, by.width), _extreme(co == np.min(co), error, held_s), _extreme(co == np.max(co), error, held_s),
         covariances(error),
     )  # fmt: skip
@@ -151,9 +151,9 @@ def _slow(x: FloatArray, width: int) -> float:
 
 
 def _extreme(there: np.ndarray, error: FloatArray, held_s: FloatArray) -> AtExtreme:
-    lengths, held_s = runs(there), np.where(there, held_s, 0.0)
-    counts = (np.sum(lengths), len(lengths), np.sum(lengths >= STRETCH), np.max(lengths))
-    return _side(map(float, (*counts, np.sum(held_s), error @ held_s, np.abs(error) @ held_s)))
+    lengths, held_s = [end - first for first, end in runs(there)], np.where(there, held_s, 0.0)
+    counts = (sum(lengths), len(lengths), sum(n >= STRETCH for n in lengths), max(lengths))
+    return _side((*map(float, counts), *map(float, (np.sum(held_s), error @ held_s, np.abs(error) @ held_s))))
 
 
 def covariances(error: FloatArray) -> FloatArray:

@@ -19,6 +19,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from retuner.adaptive.indexes.recording_quality import runs
 from retuner.adaptive.signals.recursion import recursion
 from retuner.adaptive.signals.sample import FloatArray, Window, median, quantile
 from retuner.schedule.late_dataclass import dataclass, replace
@@ -192,8 +193,7 @@ def by_levels(
     y = np.diff(window.co)
     longest = max(round(STRETCH * len(y)), SHORTEST_STRETCH)
     equation, parts = np.column_stack([x, y]), list[FloatArray]()
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], kept, [False]]))).tolist()
-    for first, end in zip(edges[::2], edges[1::2], strict=True):
+    for first, end in runs(kept):
         if end - first <= x.shape[1] + 1:
             continue
         many = -(-(end - first) // longest)

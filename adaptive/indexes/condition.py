@@ -19,6 +19,7 @@ from enum import StrEnum
 import numpy as np
 
 from retuner.adaptive.indexes.autocovariance import running_mean
+from retuner.adaptive.indexes.recording_quality import runs
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.late_dataclass import dataclass
@@ -126,8 +127,7 @@ def record_condition(
 
 
 def condition_of(traits: Traits, *, oscillates: bool = False) -> RecordCondition:
-    """The condition that these traits make; oscillates : see record_condition."""
-    # The first that applies, the most fundamental first.
+    """The first condition that applies, the most fundamental first; oscillates : see record_condition."""
     if traits.dead_pv:
         condition = Condition.DEAD_PV
     elif traits.dead_co:
@@ -181,9 +181,8 @@ def _dead(x: FloatArray) -> bool:
 
 def still_stretches(co: FloatArray) -> list[tuple[int, int]]:
     """Long stretches without any change of co: first sample, and sample after the last."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], (np.diff(co) == 0).astype(np.int8), [0]])))
     shortest = max(STILL_STRETCH, STILL_LENGTH * len(co))
-    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= shortest]
+    return [(first, end) for first, end in runs(np.diff(co) == 0) if end - first >= shortest]
 
 
 def _slow_movement(x: FloatArray) -> bool:

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from retuner.adaptive.indexes.output_limits import at_limits
+from retuner.adaptive.indexes.recording_quality import runs
 from retuner.adaptive.signals.sample import Window, median
 
 GAP = 60.0  # sampling intervals without a sample, from which the record goes on as another one
@@ -35,10 +36,9 @@ def off_in(window: Window) -> npt.NDArray[np.bool_]:
     """
     limits = at_limits(window.co, error=window.sp - window.pv)
     ends = [float(f(window.co)) for share, f in ((limits.low, np.min), (limits.high, np.max)) if share > 0]
-    still = np.concatenate([[False], (np.diff(window.co) == 0) & ~np.isin(window.co[1:], ends), [False]])
-    starts, ends_at = np.flatnonzero(~still[:-1] & still[1:]), np.flatnonzero(still[:-1] & ~still[1:])
+    still = (np.diff(window.co) == 0) & ~np.isin(window.co[1:], ends)
     off = np.zeros(len(window.co), dtype=bool)
-    for a, b in zip(starts.tolist(), ends_at.tolist(), strict=True):
+    for a, b in runs(still):
         off[a : b + 1] = b - a >= max(NIGHT * len(window.co), FEWEST_ROWS)
     return off & (np.mean(off) >= OFF)
 

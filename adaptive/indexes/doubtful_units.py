@@ -12,7 +12,7 @@ by the same factor.
 
 import numpy as np
 
-from retuner.adaptive.signals.sample import FloatArray, Window, median
+from retuner.adaptive.signals.sample import Window, median
 
 DAYS = (20000.0, 80000.0)
 LONGEST_STEP_DAYS = 1 / 24
@@ -26,30 +26,22 @@ MOST_COUNTS = 65535.0  # Most counts: those of the widest converter in use, 16 b
 
 def doubtful_units(window: Window) -> tuple[str, ...]:
     """What does not look like seconds, percent or engineering units, a sentence each."""
-    return tuple(told for told in (_times(window.t_s), _output(window.co), _counts(window.pv)) if told)
-
-
-def _times(t: FloatArray) -> str:
-    step = median(np.diff(t))
+    t, co, pv, told = window.t_s, window.co, window.pv, []
     if DIGITS[0] < t[0] and t[-1] < DIGITS[1]:
-        return "the times look like dates written as one number (YYYYMMDDhhmmss): give them as text, or in seconds"
-    if t[0] > LEAST_MILLISECONDS:
-        return "the times look like milliseconds since 1970: time constants come out a thousand times too long"
-    if DAYS[0] < t[0] and t[-1] < DAYS[1] and step < LONGEST_STEP_DAYS:
-        return "the times look like a spreadsheet's dates, in days: time constants come out 86,400 times too short"
-    return ""
-
-
-def _output(co: FloatArray) -> str:
-    low, high = float(np.min(co)), float(np.max(co))
-    if MILLIAMPERES[0] <= low and high <= MILLIAMPERES[1] and high - low >= LEAST_SPAN:
-        return "co stays between 4 and 20, which looks like mA: gains are then per mA, 6.25 times those per percent"
-    return ""
-
-
-def _counts(pv: FloatArray) -> str:
-    top = float(np.max(pv))
-    whole = bool(np.all(pv == np.round(pv)))
-    if whole and float(np.min(pv)) >= 0 and float(np.ptp(pv)) > FEWEST_COUNTS and top <= MOST_COUNTS:
-        return "pv comes in whole numbers, which look like raw counts of a converter: gains are then per count"
-    return ""
+        told.append(
+            "the times look like dates written as one number (YYYYMMDDhhmmss): give them as text, or in seconds"
+        )
+    elif t[0] > LEAST_MILLISECONDS:
+        told += ["the times look like milliseconds since 1970: time constants come out a thousand times too long"]
+    elif DAYS[0] < t[0] and t[-1] < DAYS[1] and median(np.diff(t)) < LONGEST_STEP_DAYS:
+        told.append(
+            "the times look like a spreadsheet's dates, in days: time constants come out 86,400 times too short"
+        )
+    if MILLIAMPERES[0] <= np.min(co) and np.max(co) <= MILLIAMPERES[1] and np.ptp(co) >= LEAST_SPAN:
+        told.append(
+            "co stays between 4 and 20, which looks like mA: gains are then per mA, 6.25 times those per percent"
+        )
+    counts = np.min(pv) >= 0 and np.ptp(pv) > FEWEST_COUNTS and np.max(pv) <= MOST_COUNTS
+    if counts and np.all(pv == np.round(pv)):
+        told += ["pv comes in whole numbers, which look like raw counts of a converter: gains are then per count"]
+    return tuple(told)

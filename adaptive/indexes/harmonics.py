@@ -69,22 +69,15 @@ def tones(t_s: FloatArray, w_rad_s: float, *signals: FloatArray) -> list[Tone] |
     columns = np.concatenate([np.ones((len(t), 1)), t[:, None] / t[-1], np.cos(angles), np.sin(angles)], axis=1)
     found = least_squares(columns, x)
     phasors = found[2 : 2 + highest] - 1j * found[2 + highest :]
-    return [_tone(np.asarray(phasors[:, j], dtype=np.complex128), float(power[j])) for j in range(len(signals))]
-
-
-def _tone(phasors: npt.NDArray[np.complex128], power: float) -> Tone:
-    a = np.zeros(HARMONICS)
-    a[: len(phasors)] = np.abs(phasors)
-    first = max(float(a[0]), 1e-300)
-    share = min(first * first / 2 / power, 1.0)
-    return Tone(
-        first,
-        share,
-        float(a[2]) / first,
-        float(np.linalg.norm(a[1:])) / first,
-        float(np.linalg.norm(a[[1, 3]])) / first,
-        phasors,
-    )
+    told = []
+    for j in range(len(signals)):
+        own = np.asarray(phasors[:, j], dtype=np.complex128)
+        a = np.zeros(HARMONICS)
+        a[:highest] = np.abs(own)
+        first = max(float(a[0]), 1e-300)
+        third, distortion, even = (float(x) / first for x in (a[2], np.linalg.norm(a[1:]), np.linalg.norm(a[[1, 3]])))
+        told.append(Tone(first, min(first * first / 2 / float(power[j]), 1.0), third, distortion, even, own))
+    return told
 
 
 def phase_deg(pv: Tone, co: Tone, direction: int) -> float:
@@ -166,9 +159,7 @@ def half_wave_shape(x: FloatArray, band: float) -> HalfWaveShape | None:
     if len(waves) < FEWEST_HALF_WAVES:
         return None
     power = np.sum(waves * waves, axis=1)
-    sine = _misfit(waves, power, _SINE)
-    triangle = _misfit(waves, power, _TRIANGLES)
-    relay = _misfit(waves, power, _RELAYS)
+    sine, triangle, relay = (_misfit(waves, power, shapes) for shapes in (_SINE, _TRIANGLES, _RELAYS))
     mse = [float(np.mean(np.min(m, axis=1) / power)) + SMALLEST_MISFIT for m in (sine, triangle, relay)]
     best = min(mse[1], mse[2]) ** 0.5
     apex = np.abs(_APEX[np.argmin(triangle, axis=1)] - 0.5)

@@ -10,6 +10,7 @@ it likes, and co does not follow.
 
 import numpy as np
 
+from retuner.adaptive.indexes.recording_quality import runs
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.late_dataclass import dataclass
 
@@ -60,27 +61,20 @@ def at_limits(
 def _recognised(x: FloatArray, push: FloatArray | None) -> float:
     """Share of samples at the upper extreme where it looks like a limit, else 0. push : of the error, outwards."""
     top = x == np.max(x)
-    lengths = runs(top)
+    there = runs(top)
+    long = [(start, end) for start, end in there if end - start >= STRETCH]
     if push is not None:
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], top.astype(np.int8), [0]])))
-        held = np.zeros_like(top)  # in runs of STRETCH and more
-        for start, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
-            held[start:end] = end - start >= STRETCH
+        held = np.zeros_like(top)
+        for start, end in long:
+            held[start:end] = True
         if float(np.mean(np.abs(push[top]) <= REST * np.max(np.abs(push)))) > BACK:
             return 0.0  # nothing pushes
         crossings = int(np.count_nonzero(np.diff(np.sign(push[held]))))
-        if float(np.mean(push[top] < 0)) > BACK or crossings > CROSSINGS * max(len(runs(held)), 1):
+        if float(np.mean(push[top] < 0)) > BACK or crossings > CROSSINGS * max(len(long), 1):
             return 0.0  # a hand holds co at its extreme
-    changes = int(np.count_nonzero(np.diff(x)))
-    long = int(np.sum(lengths >= STRETCH))
-    seen = is_limit(len(x), changes, int(np.sum(lengths)), len(lengths), long, int(np.max(lengths)))
+    changes, longest = int(np.count_nonzero(np.diff(x))), max(end - start for start, end in there)
+    seen = is_limit(len(x), changes, int(np.sum(top)), len(there), len(long), longest)
     return float(np.mean(top)) if seen else 0.0
-
-
-def runs(true: np.ndarray) -> np.ndarray:
-    """Lengths of the runs of true samples."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], true.astype(np.int8), [0]])))
-    return np.asarray(edges[1::2] - edges[::2])
 
 
 def is_limit(samples: int, changes: int, at_it: int, stretches: int, long: int, longest: int) -> bool:

@@ -243,13 +243,10 @@ def screen(
 
 def _recording(window: Window, limits: AtLimits) -> dict[str, float | None]:
     """Noise and recording, of pv and co; standing at a limit is no compression."""
-    moving = (
-        (window.co > np.min(window.co)) & (window.co < np.max(window.co))
-        if limits.hit
-        else np.full(len(window.co), fill_value=True)
-    )
+    low, high = np.min(window.co), np.max(window.co)
+    moving = window.co[(window.co > low) & (window.co < high)] if limits.hit else window.co
     pv = recording_quality(window.pv)
-    co = recording_quality(window.co[moving]) if np.sum(moving) > FEWEST_MOVING else None
+    co = recording_quality(moving) if len(moving) > FEWEST_MOVING else None
     found: dict[str, float | None] = {}
     if pv is not None:
         found |= plain_values(pv, "noise_share quantum_pv=quantum repeated_pv=repeated compression_pv=compression")
@@ -318,13 +315,10 @@ def _detection(window: Window, gains: PidGains | None, period_s: float | None) -
     """Hagglund's IAE detector; the integral time stands for the ultimate period, as in the paper."""
     e = window.sp - window.pv
     amplitude = max(IAE_AMPLITUDE * float(np.ptp(e)) / 2, NOISE_BAND * noise_sigma(e))
+    w = 2 * math.pi / period_s if period_s is not None else 0.0
     if gains is not None and gains.ki and gains.kp:
         w = 2 * math.pi * gains.ki / gains.kp
-    elif period_s is not None:
-        w = 2 * math.pi / period_s
-    else:
-        return {}
-    if amplitude <= 0:
+    if not w or amplitude <= 0:
         return {}
     seen = iae_detection(window.t_s, e, amplitude, w)
     return {"iae_loads": float(seen.loads), "iae_count": seen.count}
@@ -369,19 +363,13 @@ def flat_share(pv: FloatArray, co: FloatArray, width: int) -> float | None:
     """
     if len(pv) < 3 * width:
         return None
-    means = [_means(x, width) for x in (pv, co)]
     moves = []
-    for x, mean in zip((pv, co), means, strict=True):
-        steps = np.abs(np.diff(mean))
-        moves.append((steps, NOISE_BAND * noise_sigma(x) * (2.0 / width) ** 0.5))
+    for x in (pv, co):
+        means = x[: len(x) // width * width].reshape(-1, width).mean(axis=1)
+        moves.append((np.abs(np.diff(means)), NOISE_BAND * noise_sigma(x) * (2.0 / width) ** 0.5))
     (d_pv, band_pv), (d_co, band_co) = moves
     moving = d_co > max(band_co, 0.1 * float(np.mean(d_co)))
     travel = float(np.sum(d_co[moving]))
     # without noise "standing" needs a scale: a tenth of pv's mean movement
     still = d_pv <= max(band_pv, 0.1 * float(np.mean(d_pv)))
     return float(np.sum(d_co[moving & still])) / travel if travel > 0 else None
-
-
-def _means(x: FloatArray, width: int) -> FloatArray:
-    kept = len(x) // width * width
-    return np.asarray(x[:kept].reshape(-1, width).mean(axis=1), dtype=np.float64)
