@@ -170,6 +170,7 @@ class WriteProtocol:
         self._told_unknown = False
         self._nonce: int | None = None
         self._staged_right = False
+        self._held: PidGains | None = None  # what the device has staged, by its newest answer
         self._deadline_s: float | None = None
         self._claims = 0
         self.used_up = False  # the device has dropped what was staged, and takes its number no more: see renumber
@@ -189,7 +190,7 @@ class WriteProtocol:
         """Start a write; only when not busy."""
         self._order, self._why = order, "no answer to the commit"
         self._told_unknown = self._staged_right = False
-        self._nonce = None
+        self._nonce = self._held = None
         self._claims = 0
         self.used_up = False
         self._move(WriteInput.BEGIN)
@@ -270,6 +271,8 @@ class WriteProtocol:
             self._why = "the device did not give the lease"
         elif self.phase is WritePhase.STAGING:
             self._why = "the staged gains could not be read back"
+            if self._held is not None and self._order is not None and self._held != self._order.gains:
+                self._why = _held_text(self._held, self._order.gains)
         self._move(WriteInput.EXHAUSTED)
 
     def unknown(self) -> WriteUnknown | None:
@@ -309,6 +312,7 @@ class WriteProtocol:
         if order is None:
             return
         self._staged_right = page.seq == order.seq and page.gains == order.gains and page.fits(order.set_crc)
+        self._held = page.gains if page.seq == order.seq else None
         if not self._staged_right:
             self._move(WriteInput.STAGED_WRONG)
         elif order.key is None or self._nonce is not None:
@@ -341,7 +345,8 @@ class WriteProtocol:
         self._move(WriteInput.RUNNING_READ)
         if running.seq == order.seq and running.gains == order.gains:
             return WriteDone(order.seq, running.gains, running)
-        return WriteFailed(order.seq, self._why, running)
+        held = running.seq == order.seq
+        return WriteFailed(order.seq, _held_text(running.gains, order.gains) if held else self._why, running)
 
     def _move(self, event: WriteInput) -> None:
         if not self.machine.take(event) or event is WriteInput.TIMEOUT:
@@ -353,3 +358,7 @@ class WriteProtocol:
         if event is not WriteInput.STAGED_WRONG:
             self._tries = 0
             self._deadline_s = None
+
+
+def _held_text(held: PidGains, sent: PidGains) -> str:
+    return f"the controller holds {held} where {sent} was sent: it rounds or limits gains"

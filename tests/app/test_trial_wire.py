@@ -211,6 +211,26 @@ def test_a_controller_that_gives_an_unconfirmed_set_up_ends_the_trial(make_wire:
     assert wire.runs == to_wire(GOOD)
 
 
+def test_what_the_controller_makes_of_a_set_is_no_persons_edit_and_the_verified_set_runs_again(make_wire):
+    wire = make_wire()
+    pages, swap = wire.device.pages, wire.device.pages.swap
+
+    def rounding() -> object:
+        answer = swap()
+        kp = max(pages.running.gains.kp // 8 * 8, 1.0) if pages.running.gains == to_wire(NEW) else None
+        if kp is not None:
+            pages.running = pages.running._replace(gains=to_wire(PidGains(kp, NEW.ki)))
+        return answer
+
+    pages.swap = rounding
+    wire.ask(NEW)
+    wire.until(P.COOLING)
+    assert wire.runs == to_wire(GOOD)
+    (refused,) = (body["reason"] for kind, body in wire.rows if kind == "refused")
+    assert "it rounds or limits gains" in refused
+    assert "foreign" not in wire.kinds
+
+
 def test_in_an_interpolated_table_leaving_the_region_ends_the_trial(make_wire: Callable[..., Wire]) -> None:
     wire = make_wire(lookup=Lookup.INTERPOLATED)
     into(wire, P.TRIAL)

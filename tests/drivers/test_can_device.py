@@ -300,7 +300,7 @@ def test_a_device_that_rounds_silently_gets_nothing_committed(bench, monkeypatch
     monkeypatch.setattr(bench.device.pages, "stage", lambda f: stage(replace(f, value=round(f.value * 4) / 4)))
     bench.host.begin_write(PidGains(1.1, 0.07, 0.5), bench.now_s)
     (failed,) = [e for e in bench.run(40) if isinstance(e, WriteFailed)]
-    assert failed.reason == "the staged gains could not be read back"
+    assert "holds kp 1, kd 0.5 where kp 1.1, ki 0.07, kd 0.5 was sent: it rounds or limits" in failed.reason
     assert bench.device.running.gains == bench.FIRST
 
 

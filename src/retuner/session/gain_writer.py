@@ -270,7 +270,8 @@ class GainWriter:
         self._give_up(write, event.reason, now_s, event.running.gains, written=not known)
         if known:
             return None
-        if self._is_a_persons(event.running.gains):
+        altered = write.why == Why.RETUNE and event.running.seq == event.seq  # by the controller that took it
+        if not altered and self._is_a_persons(event.running.gains):
             return TrialEvent.OPERATOR_EDIT
         return TrialEvent.WRITE_UNKNOWN if write.why != Why.RESTORE else None
 
