@@ -145,8 +145,8 @@ class RegionAdvice:
 
     def to_dict(self) -> dict[str, object]:
         """Plain values."""
-        names = "kind regions axis unit border=boundary kc_factor tau_i_factor records statistic limit against_time"
-        return plain_values(self, f"{names} sentence")
+        numbers = plain_values(self, "kc_factor tau_i_factor records statistic limit against_time sentence")
+        return plain_values(self, "kind regions axis unit") | {"border": self.boundary} | numbers
 
 
 def region_advice(
