@@ -306,20 +306,18 @@ def _words(numbers: ChoiceNumbers, *, goes: bool, waits: bool, pays: bool) -> st
     sure = f"{chance} chance that something other than the tuning explains this"
     if goes:
         return f"expected: {iae}, {then}; {sure}"
-    why = "a second record must agree first" if waits else _too_little(numbers)
-    if pays:
-        why = f"expected benefit {percent(numbers.gain)} +- {percent(numbers.spread)}: another record must agree"
-    return f"no change{' yet' if waits else ''}: expected {iae}, {then}; {sure}; {why}"
-
-
-def _too_little(numbers: ChoiceNumbers) -> str:
-    """Why a change is not made that brings less than its price, or whose first step brings nothing."""
-    if numbers.gain > numbers.price:
-        return f"the whole change would bring {percent(numbers.gain)}, but the part that the limits allow does not pay"
     worth, needed = percent(numbers.gain), percent(numbers.price)
-    if worth == needed:  # rounded down, so that what is too little reads as too little
-        worth, needed = percent(math.floor(1000.0 * numbers.gain) / 1000.0, 1), percent(numbers.price, 1)
-    return f"expected benefit {worth}; changes start at {needed}"
+    if pays:
+        why = f"expected benefit {worth} +- {percent(numbers.spread)}: another record must agree"
+    elif waits:
+        why = "a second record must agree first"
+    elif numbers.gain > numbers.price:
+        why = f"the whole change would bring {worth}, but the part that the limits allow does not pay"
+    else:
+        if worth == needed:  # rounded down, so that what is too little reads as too little
+            worth, needed = percent(math.floor(1000.0 * numbers.gain) / 1000.0, 1), percent(numbers.price, 1)
+        why = f"expected benefit {worth}; changes start at {needed}"
+    return f"no change{' yet' if waits else ''}: expected {iae}, {then}; {sure}; {why}"
 
 
 def percent(share: float, digits: int = 0) -> str:
