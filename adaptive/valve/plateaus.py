@@ -85,53 +85,44 @@ def as_steps(pv: FloatArray) -> Steps:
         best = min(found, key=lambda lag: found[lag][0])
     criterion, chosen = found[best]
     jumps = tuple(sorted(j + 1 for j in chosen))
-    return Steps(jumps, best, _fitted(pv, _Responses(len(pv), best), _rest(len(pv), best), chosen), sigma, criterion)
+    return Steps(jumps, best, _fitted(pv, *_parts(len(pv), best), chosen), sigma, criterion)
 
 
-@dataclass(frozen=True)
-class _Responses:
-    """Responses to a jump at each row from 1 on, as columns j = 0 ... n - 2; the jump of column j is at row j + 1."""
-
-    n: int
-    lag: float
-
-    def columns(self, at: npt.ArrayLike) -> FloatArray:
-        """Some of them, shape (n, number)."""
-        since = np.arange(self.n)[:, None] - (np.atleast_1d(np.asarray(at, dtype=np.intp))[None, :] + 1)
-        return np.asarray(np.concatenate([np.zeros(self.n), self.to_jump])[since + self.n])
-
-    @property
-    def to_jump(self) -> FloatArray:
-        """Rows from a jump on, shape (n,)."""
-        return -np.expm1(-np.arange(self.n) / self.lag) if self.lag else np.ones(self.n)
-
-
-def _rest(n: int, lag: float) -> FloatArray:
-    """Orthonormal columns of what is there without any jump: level and start, shape (n, 1 or 2)."""
+def _parts(n: int, lag: float) -> tuple[FloatArray, FloatArray]:
+    """The response from a jump on, shape (n,), and orthonormal columns of what is there without any: level and start,
+    shape (n, 1 or 2).
+    """
     start = [np.ones(n), np.exp(-np.arange(n) / lag)] if lag else [np.ones(n)]
-    return np.asarray(np.linalg.qr(np.stack(start, axis=1))[0], dtype=np.float64)
+    rise = -np.expm1(-np.arange(n) / lag) if lag else np.ones(n)
+    return rise, np.asarray(np.linalg.qr(np.stack(start, axis=1))[0], dtype=np.float64)
 
 
-def _fitted(pv: FloatArray, responses: "_Responses", rest: FloatArray, chosen: list[int]) -> FloatArray:
-    columns = np.concatenate([rest, responses.columns(chosen)], axis=1)
+def responses(rise: FloatArray, at: npt.ArrayLike) -> FloatArray:
+    """Responses to a jump as columns, shape (n, number). rise : from the jump on. at : column j jumps at row j + 1."""
+    n = len(rise)
+    since = np.arange(n)[:, None] - (np.atleast_1d(np.asarray(at, dtype=np.intp))[None, :] + 1)
+    return np.asarray(np.concatenate([np.zeros(n), rise])[since + n])
+
+
+def _fitted(pv: FloatArray, rise: FloatArray, rest: FloatArray, chosen: list[int]) -> FloatArray:
+    columns = np.concatenate([rest, responses(rise, chosen)], axis=1)
     return np.asarray(np.einsum("ij,j->i", columns, least_squares(columns, pv)), dtype=np.float64)
 
 
 def _with_lag(pv: FloatArray, lag: float, sigma: float) -> tuple[float, list[int]]:
     """Criterion and columns of the best description with one lag."""
-    n, responses = len(pv), _Responses(len(pv), lag)
-    rest = _rest(n, lag)
+    n, (rise, rest) = len(pv), _parts(len(pv), lag)
     form = through_lag(*((1.0, math.exp(-1.0 / lag)) if lag else (0.0, 0.0)))
-    rows, left = steps_chosen(pv, responses.to_jump, rest, LEAST_NEW_SHARE, MOST_JUMPS, form)
+    rows, left = steps_chosen(pv, rise, rest, LEAST_NEW_SHARE, MOST_JUMPS, form)
     prices = [price(rss, n, sigma, jumps) for jumps, rss in enumerate(left)]
     chosen = rows[: prices.index(min(prices))]
     if (engine := compiled()) is not None:
-        asked = pv, responses.to_jump, rest, LEAST_NEW_SHARE, chosen, MOVED_ROWS, MOVED_PASSES, form
+        asked = pv, rise, rest, LEAST_NEW_SHARE, chosen, MOVED_ROWS, MOVED_PASSES, form
         chosen, rss = engine.steps_moved(*asked)
     else:
         for _ in range(MOVED_PASSES):
-            chosen = _moved(pv, responses, rest, chosen)
-        rss = float(np.sum((pv - _fitted(pv, responses, rest, chosen)) ** 2))
+            chosen = _moved(pv, rise, rest, chosen)
+        rss = float(np.sum((pv - _fitted(pv, rise, rest, chosen)) ** 2))
     return price(rss, n, sigma, len(chosen)), chosen
 
 
@@ -173,16 +164,16 @@ def steps_chosen(
     return found, remain
 
 
-def _moved(pv: FloatArray, responses: _Responses, rest: FloatArray, chosen: list[int]) -> list[int]:
+def _moved(pv: FloatArray, rise: FloatArray, rest: FloatArray, chosen: list[int]) -> list[int]:
     """Every jump at its best row nearby, the others held where they are."""
     at = list(chosen)
-    columns = np.concatenate([rest, responses.columns(at)], axis=1)
+    columns = np.concatenate([rest, responses(rise, at)], axis=1)
     products, onto = columns.T @ columns, columns.T @ pv
     for i, j in enumerate(at):
         mine = rest.shape[1] + i
         others = np.arange(columns.shape[1]) != mine
         near = np.arange(max(j - MOVED_ROWS, 0), min(j + MOVED_ROWS + 1, len(pv) - 1))
-        tried = responses.columns(near)
+        tried = responses(rise, near)
         shared = columns[:, others].T @ tried
         explained = np.linalg.solve(products[np.ix_(others, others)], np.column_stack([onto[others], shared]))
         size = np.einsum("ij,ij->j", tried, tried) - np.einsum("ij,ij->j", shared, explained[:, 1:])
@@ -200,12 +191,11 @@ def _moved(pv: FloatArray, responses: _Responses, rest: FloatArray, chosen: list
 
 def plateaus(pv: FloatArray, steps: Steps) -> list[Plateau]:
     """The plateaus of a record in order; neighbours of about one level are one."""
-    edges = [0, *steps.jumps, len(pv)]
     found: list[Plateau] = []
-    for first, end in pairwise(edges):
-        settled = min(first + round(SETTLED * steps.lag), end - 1) if first else 0
+    for first, end in pairwise([0, *steps.jumps, len(pv)]):
         if end <= first:
             continue
+        settled = min(first + round(SETTLED * steps.lag), end - 1) if first else 0
         level = median(pv[settled:end])
         if found and abs(level - found[-1].level) < LEVEL * steps.range:
             merged = found.pop()

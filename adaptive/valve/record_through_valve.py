@@ -31,6 +31,7 @@ from retuner.adaptive.identification.identify import Fits, FitSettings
 from retuner.adaptive.rules.simc import without_second_lag
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.valve.valve_fit import (
+    JUMP_SHARES,
     MOST_ROWS,
     POLISHED,
     Nodes,
@@ -44,12 +45,10 @@ from retuner.adaptive.valve.valve_fit import (
     valve_costs,
     with_lag,
 )
-from retuner.adaptive.valve.valve_model import Family, StuckValve
+from retuner.adaptive.valve.valve_model import StuckValve
 from retuner.schedule.late_dataclass import dataclass, replace
 
 BANDS = tuple(np.geomspace(0.02, 0.7, 20).tolist())  # stick bands tried, as shares of co's range
-JUMP_SHARES = {Family.KANO: (0.0, 0.3, 0.6, 0.9, 1.2), Family.HE: (0.3, 0.6, 0.95)}
-"""Slip jumps tried, as shares of the band."""
 STARTS = tuple(np.linspace(-1.0, 1.0, 9).tolist())  # where the valve may stand in its band when the record begins
 LAGS, SECOND_LAG = (0.5, 1.5, 4.0, 10.0), 0.6
 """Lags tried, and a second one beside those that are longer, in effective dead times of the linear explanation."""
@@ -97,7 +96,10 @@ def valve_believed(window: Window, sign: int, fits: Fits, settings: FitSettings)
     misfit, record = linear.fit.misfit, linear.fit.misfit.record
     if not setpoint_changes(window) or not (misfit.loads or misfit.ramp or misfit.corners or linear.colour.ar):
         return None  # the linear explanation needs no more than its process
-    valves = list(_grid(record.co_range))
+    valves = []
+    for share, (family, jumps) in product(BANDS, JUMP_SHARES.items()):
+        band = share * record.co_range
+        valves += [StuckValve(family, band, jump * share * record.co_range, at) for jump, at in product(jumps, STARTS)]
     tried = [*_by_nodes(record, sign, valves, fits.free), *_by_processes(valves, fits.free[:OWN])]
     closest = sorted(tried, key=lambda s: s.fit.criterion)[:POLISHED]
     at = min((settled(s) for s in closest), key=lambda s: s.fit.criterion, default=None)
@@ -137,12 +139,6 @@ def _searched(window: Window, sign: int, at: Sticking, settings: FitSettings) ->
         as_recorded = replace(found.fit, misfit=replace(found.fit.misfit, record=record))
         valve = fine(Sticking(valve, replace(found, fit=as_recorded))).valve
     return best
-
-
-def _grid(co_range: float) -> Iterator[StuckValve]:
-    for share, (family, jumps) in product(BANDS, JUMP_SHARES.items()):
-        for jump, start in product(jumps, STARTS):
-            yield StuckValve(family, share * co_range, jump * share * co_range, start)
 
 
 def _by_nodes(record: Record, sign: int, valves: list[StuckValve], linear: list[Candidate]) -> Iterator[Sticking]:

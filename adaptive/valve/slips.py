@@ -26,7 +26,7 @@ import numpy.typing as npt
 
 from retuner.adaptive.fit.dynamics import Dynamics
 from retuner.adaptive.fit.engine import compiled
-from retuner.adaptive.fit.misfit import LOAD_COST, WHITE, Misfit
+from retuner.adaptive.fit.misfit import LOAD_COST, Misfit
 from retuner.adaptive.fit.refine import Fit, refine
 from retuner.adaptive.fit.structure import SLOPE, THETA
 from retuner.adaptive.identification.candidate import MODEL_ERROR, Candidate, CandidateList, judged
@@ -34,7 +34,7 @@ from retuner.adaptive.identification.loads import improved
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray, distinct, median
 from retuner.adaptive.valve.plateaus import steps_chosen, through_lag
-from retuner.adaptive.valve.valve_fit import with_best_gain
+from retuner.adaptive.valve.valve_fit import bare, with_best_gain
 from retuner.schedule.late_dataclass import dataclass, replace
 
 Rows = npt.NDArray[np.int64]
@@ -155,10 +155,7 @@ def slipping(linear: Candidate, most_loads: int) -> Slipping | None:
     linear : the explanation by the loop itself.
     """
     record = linear.fit.misfit.record
-    misfit = replace(
-        linear.fit.misfit, type=ProcessType.FOPDT, loads=0, corners=0, sigma=record.noise_std, ar=(), ramp=False,
-        rounded=False, harmonics=0, most_order=WHITE,
-    )  # fmt: skip
+    misfit = bare(linear.fit.misfit, ProcessType.FOPDT)
     co, found = Co(record.co), list[Iterator[Start]]()
     if (steps := as_steps(misfit)) is not None:
         found.append(_from_steps(replace(misfit, type=steps.type), co, steps))

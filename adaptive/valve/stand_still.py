@@ -26,7 +26,7 @@ import numpy as np
 
 from retuner.adaptive.indexes.autocovariance import running_mean
 from retuner.adaptive.indexes.recording_quality import runs
-from retuner.adaptive.signals.sample import FloatArray, Window, median
+from retuner.adaptive.signals.sample import Window, median
 from retuner.adaptive.valve.plateaus import Plateau, Steps, as_steps, plateaus, price
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass
@@ -155,7 +155,11 @@ def stand_still(window: Window, gains: PidGains, settings: StandStillSettings) -
     slips = [b.first for a, b in pairwise(found)]
     silent, unanswered = _silent(rows, steps, tau_i, settings)
     agreed, share = _agreed(rows, found, gains.direction, tau_i, settings, unanswered)
-    explained = _explained(rows.pv, steps, settings)
+    # How far plateaus and steps are what pv consists of: from 1 on they are
+    left = rows.pv - steps.fitted
+    noise = settings.remainder * steps.sigma / max(float(np.std(left)), SILENT)
+    unexplained = (1 - settings.explained) * float(np.var(rows.pv))
+    explained = max(noise, unexplained / max(float(np.var(left)), SILENT))
     dead = any(leg.travel >= settings.dead_travel and leg.dwell >= settings.dead_dwell for leg in counted)
     idle = sum(leg.travel * _up_to(leg.travel, settings.travel) for leg in legs)
     dwell = max((leg.dwell * _up_to(leg.travel, settings.travel) for leg in legs), default=0.0)
@@ -163,20 +167,10 @@ def stand_still(window: Window, gains: PidGains, settings: StandStillSettings) -
     degree = min(_up_to(idle, settings.idle), _up_to(dwell, lasts), _up_to(share, AGREEING), _up_to(explained, 1.0))
     stands = degree >= 1.0 and len(counted) >= settings.legs and sum(leg.travel for leg in counted) >= settings.idle
     quick = 1.0 if silent else _up_to(settings.quick * tau_i, max(steps.lag, NO_LAG))
-    return StandStill(
-        counted,
-        tuple(float(rows.t_s[s]) for s in slips),
-        len(agreed),
-        tuple(_ends(agreed, counted)),
-        stands,
-        stands and quick >= 1.0,
-        dead and not slips,
-        degree,
-        quick,
-        len(rows.pv),
-        steps.sigma,
-        steps.criterion,
-    )
+    verdicts = stands, stands and quick >= 1.0, dead and not slips, degree, quick
+    slips_s = tuple(float(rows.t_s[s]) for s in slips)
+    ends_s = tuple(_ends(agreed, counted))
+    return StandStill(counted, slips_s, len(agreed), ends_s, *verdicts, len(rows.pv), steps.sigma, steps.criterion)
 
 
 def _up_to(value: float, bound: float) -> float:
@@ -187,13 +181,6 @@ def _up_to(value: float, bound: float) -> float:
 WAVE = 5.0  # lags of its slips that pv must stand at the longest: shorter, plateaus are what a slow swing leaves
 AGREEING, NO_LAG, SILENT = 2.0 / 3.0, 1e-9, 1e-300
 """Share of slips that go where co had gone, from which all do but for chance; a lag, and a remainder, that are none."""
-
-
-def _explained(pv: FloatArray, steps: Steps, settings: StandStillSettings) -> float:
-    """How far plateaus and steps are what pv consists of: from 1 on they are."""
-    left = pv - steps.fitted
-    noise = settings.remainder * steps.sigma / max(float(np.std(left)), SILENT)
-    return max(noise, (1 - settings.explained) * float(np.var(pv)) / max(float(np.var(left)), SILENT))
 
 
 def _thinned(window: Window) -> Window:

@@ -98,14 +98,13 @@ def with_play(linear: Candidate, most_loads: int) -> Sticking:
     load steps; so it is tried with those of the linear explanation, and with none at first.
     """
     kept = linear.fit.misfit
-    bare = replace(kept, loads=0, corners=0, rounded=False)
     tried = []
     for share in PLAYS:
         valves = [StuckValve(Family.KANO, share * kept.record.co_range, 0.0, start) for start in STARTS]
         tried.append(valves[int(np.argmin(valve_costs(linear.fit, valves)))])
     rivals = [fine(_played(kept, tried, linear.fit.p))]
     if kept.loads:
-        plain = fine(_played(bare, tried, linear.fit.x))
+        plain = fine(_played(replace(kept, loads=0, corners=0, rounded=False), tried, linear.fit.x))
         rivals.append(replace(plain, fit=improved(plain.fit, most_loads, CandidateList([plain.fit]))))
     return min(rivals, key=lambda s: s.fit.criterion)
 
@@ -130,15 +129,15 @@ Ranked = tuple[StuckValve, ProcessType, FloatArray]  # A valve with the structur
 
 def _scanned(record: Record, sign: int, period_s: float) -> list[Ranked]:
     """The best valves, each of another valley, with x of their process."""
-    travel, nodes = _travel(record, period_s), Nodes.of(record, period_s)
-    valves = [valve for plain in _grid(travel) for valve in _centred(plain, record, period_s)]
+    nodes, (travel, valves) = Nodes.of(record, period_s), valves_tried(record, period_s)
     left, _ = explained(record, sign, valves, nodes)
     node = np.argmin(left, axis=1)
     best = left[np.arange(len(valves)), node]
     found: list[tuple[float, Ranked]] = []
     for i in valleys(valves, best):
-        lags, theta = nodes.at(int(node[i]))
-        near = nodes.near(record, lags, theta, period_s)
+        (lag, second), theta = nodes.at(int(node[i]))
+        thetas = [theta + more * period_s for more in NEAR_THETAS]
+        near = Nodes.made(record, nodes.rows, [(lag * f, second * f) for f in NEAR_LAGS], thetas)
         around = list(_near(valves[i]))
         closer, gain = explained(record, sign, around, near)
         j, k = np.unravel_index(int(np.argmin(closer)), closer.shape)
@@ -184,33 +183,25 @@ def explained(record: Record, sign: int, valves: list[StuckValve], nodes: "Nodes
     return np.where(gain * sign > 0, left, np.inf), np.abs(gain)
 
 
-def _grid(travel: float) -> Iterator[StuckValve]:
+def valves_tried(record: Record, period_s: float) -> tuple[float, list[StuckValve]]:
+    """The usual travel of co within a period, and the valves of a grid of bands and jumps.
+
+    Each starts from either of the levels between which it goes, where co goes as far beyond both: a valve never forgets
+    where it stood, as each slip comes a band or a jump after the last. In a cycle it stands half a jump above the
+    middle of co, or half a jump below.
+    """
+    n, co = max(int(period_s / record.sample_time_s), 3), record.co
+    pieces = [co[i : i + n] for i in range(0, max(len(co) - n, 1), n)]
+    travel = max(median([np.ptp(piece) for piece in pieces]), LEAST_TRAVEL * record.co_range)
+    middle = (float(np.max(co[:n])) + float(np.min(co[:n]))) / 2
+    found = []
     for stick in (np.geomspace(*STICK_RANGE, STICK_NODES) * travel).tolist():
         for family, shares in JUMP_SHARES.items():
-            for share in shares:
-                yield StuckValve(family, stick, share * stick)
-
-
-def _centred(valve: StuckValve, record: Record, period_s: float) -> Iterator[StuckValve]:
-    """The valve from either of the levels between which it goes, where co goes as far beyond both.
-
-    A valve never forgets where it stood: each slip comes a band or a jump after the last. In a cycle it stands half a
-    jump above the middle of co, or half a jump below.
-    """
-    n = max(int(period_s / record.sample_time_s), 3)
-    first = record.co[:n]
-    middle = (float(np.max(first)) + float(np.min(first))) / 2
-    for side in (1, -1):
-        start = 2 * (middle + side * valve.jump / 2 - float(record.co[0])) / (valve.stick + valve.jump)
-        yield replace(valve, start=min(max(start, -1.0), 1.0))
-        if not valve.jump:
-            return
-
-
-def _travel(record: Record, period_s: float) -> float:
-    n = max(int(period_s / record.sample_time_s), 3)
-    pieces = [record.co[i : i + n] for i in range(0, max(len(record.co) - n, 1), n)]
-    return max(median([np.ptp(piece) for piece in pieces]), LEAST_TRAVEL * record.co_range)
+            for jump in (share * stick for share in shares):
+                for side in (1, -1) if jump else (1,):
+                    start = 2 * (middle + side * jump / 2 - float(co[0])) / (stick + jump)
+                    found.append(StuckValve(family, stick, jump, min(max(start, -1.0), 1.0)))
+    return travel, found
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,11 +226,6 @@ class Nodes:
         rows = slice(first if first < n // 3 else 0, None, -(-n // MOST_ROWS))  # thinned, once the start tells no more
         lags = [(lag * period_s, second * period_s) for lag, second in LAGS_PER_PERIOD]
         return cls.made(record, rows, lags, [share * period_s for share in THETAS_PER_PERIOD])
-
-    def near(self, record: Record, lags_s: tuple[float, float], theta_s: float, period_s: float) -> "Nodes":
-        """Nodes round one of them."""
-        lags = [(lags_s[0] * f, lags_s[1] * f) for f in NEAR_LAGS]
-        return Nodes.made(record, self.rows, lags, [theta_s + more * period_s for more in NEAR_THETAS])
 
     @classmethod
     def made(cls, record: Record, rows: slice, lags: list[tuple[float, float]], thetas: list[float]) -> "Nodes":

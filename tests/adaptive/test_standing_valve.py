@@ -19,7 +19,7 @@ from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.sticking_valve import pv_stands, pv_stands_verdict
 from retuner.adaptive.signals.sample import Window
-from retuner.adaptive.valve.plateaus import _Responses, as_steps, plateaus, rough_sigma
+from retuner.adaptive.valve.plateaus import _parts, as_steps, plateaus, responses, rough_sigma
 from retuner.adaptive.valve.stand_still import Leg, StandStill, StandStillSettings, _agreed, _ends, stand_still
 
 GAINS = PidGains(0.2, 0.2 / 5.0)
@@ -216,12 +216,12 @@ def test_a_co_that_no_law_moves_shows_none():
 @pytest.mark.parametrize("lag", [0.0, 0.4, 3.0, 100.0])
 def test_a_response_begins_at_its_jump(lag: float) -> None:
     n = 60
-    responses = _Responses(n, lag)
-    columns = responses.columns(np.arange(n - 1))
+    rise, _ = _parts(n, lag)
+    columns = responses(rise, np.arange(n - 1))
 
     assert columns.shape == (n, n - 1)
     assert columns[:20, 20].max() == 0  # nothing before the jump
-    np.testing.assert_allclose(columns[21:, 20], responses.to_jump[: n - 21], atol=1e-12)
+    np.testing.assert_allclose(columns[21:, 20], rise[: n - 21], atol=1e-12)
 
 
 HALVES = {"half": slice(None, None, 2), "late": slice(30, None), "early": slice(None, 560)}

@@ -27,8 +27,8 @@ from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.adaptive.trial.batch_responses import ClosedLoop, Upset, traces
 from retuner.adaptive.valve.plateaus import as_steps
 from retuner.adaptive.valve.slips import Co, Slips, _greedy, explained_by
-from retuner.adaptive.valve.valve_fit import Nodes, _grid, _moved, _through, _travel, valve_costs
-from retuner.adaptive.valve.valve_model import StuckValve
+from retuner.adaptive.valve.valve_fit import Nodes, _moved, _through, valve_costs, valves_tried
+from retuner.adaptive.valve.valve_model import Family, StuckValve
 from retuner.schedule.gains import PidGains
 
 compiled = pytest.importorskip("retuner.adaptive.fit.compiled", reason="the compiled engine was not built: no compiler")
@@ -221,8 +221,7 @@ def test_sticking_valves_move_and_explain_alike() -> None:
     for _ in range(6):
         record = drawn_record(rng)
         period = record.span_s / 8
-        valves = list(_grid(_travel(record, period)))[::17]
-        valves += [replace(v, start=0.4) for v in valves[:3]]
+        valves = valves_tried(record, period)[1][::31]
         nodes = Nodes.of(record, period)
         fit = refine(Misfit(record, ProcessType.FOPDT, 1, 0, record.noise_std, 0.3), np.log([1, period / 9, period]))
         with engine.using("numpy"):
@@ -255,7 +254,7 @@ def test_a_slipping_valve_moves_and_explains_alike() -> None:
 
 def test_a_valve_that_stands_still_says_nothing() -> None:
     record = drawn_record(np.random.default_rng(8))
-    valve = StuckValve(next(_grid(1.0)).family, 1e6, 0.0)
+    valve = StuckValve(Family.KANO, 1e6, 0.0)
     left, gain = compiled.valves_scanned(record, [valve.numbers()], Nodes.of(record, record.span_s / 8))
     assert np.all(np.isinf(left))
     assert not np.any(gain)
