@@ -284,9 +284,12 @@ def settings_in_force(
     count = int(np.sum(usable))
     if count < settings.fewest_samples:
         return _refused(f"only {count} samples have co moving inside its limits; {settings.fewest_samples} are needed")
-    lost = _compressed(window, usable, settings)
-    if lost:
-        return _refused(lost)
+    coarse = quantum(window.pv) > 0  # while such a pv stands, integral action draws straight lines
+    for name, signal in (("pv", window.pv), ("co", window.co[1:][usable])):
+        quality = None if coarse and name == "co" else recording_quality(signal)
+        if quality is not None and quality.compression > settings.compression_limit:
+            times = f"{quality.compression:.0f} times"
+            return _refused(f"{name} was compressed {times} by its recorder: its movements are lost")
     best = best_structure(window, usable, settings.largest_lag)
     # Settings, or the sentence that says why not
     percent = f"{max(best.explained, 0.0):.1%}"
@@ -310,16 +313,6 @@ def settings_in_force(
     told = f"the law explains {percent} of the movement of co in {count} samples"
     gains = PidGains(**values)
     return SettingsInForce(gains, std, weight, best.structure, best.explained, count, told, gains.direction)
-
-
-def _compressed(window: Window, usable: BoolArray, settings: LawSettings) -> str:
-    """Whether a recorder left out the movements of pv or co: the sentence, or nothing."""
-    coarse = quantum(window.pv) > 0  # while such a pv stands, integral action draws straight lines
-    for name, values in (("pv", window.pv), ("co", window.co[1:][usable])):
-        quality = None if coarse and name == "co" else recording_quality(values)
-        if quality is not None and quality.compression > settings.compression_limit:
-            return f"{name} was compressed {quality.compression:.0f} times by its recorder: its movements are lost"
-    return ""
 
 
 def _refused(reason: str, found: Regression | None = None) -> SettingsInForce:
@@ -390,10 +383,7 @@ def _slow(found: Regression, window: Window) -> Regression | None:
     n = len(window.t_s) // SLOW
     if n < FEWEST_SLOW or not found.structure.proportional or found.explained > ALL_EXPLAINED:
         return None
-    means = Window(
-        *(x[: n * SLOW].reshape(n, SLOW).mean(axis=1) for x in (window.t_s, window.sp, window.pv, window.co))
-    )
-    whole: BoolArray = np.asarray(
-        np.all(np.concatenate([found.kept, [True]])[: n * SLOW].reshape(n, SLOW)[:, :-1], axis=1)
-    )
+    signals = (window.t_s, window.sp, window.pv, window.co)
+    means = Window(*(x[: n * SLOW].reshape(n, SLOW).mean(axis=1) for x in signals))
+    whole = np.all(np.append(found.kept, True)[: n * SLOW].reshape(n, SLOW)[:, :-1], axis=1)
     return by_levels(means, found.structure, np.asarray(whole[1:] & whole[:-1], dtype=np.bool_))

@@ -99,11 +99,14 @@ class _Data:
     """The windows as one array each; what is beyond the end of a short one counts nothing."""
 
     def __init__(self, windows: Sequence[Moved]) -> None:
-        n = max(len(one.pv) for one in windows)
         inside = [len(one.pv) for one in windows]
+        n = max(inside)
         self._co = np.stack([np.pad(one.co - one.co[:, :1], ((0, 0), (0, n - len(one.pv)))) for one in windows], 1)
-        time = np.arange(n) / n
-        self._offs = np.stack([_orthonormal(time, m) for m in inside])
+        offsets = []  # orthonormal offset and ramp of each window, shape (n, 2), nothing beyond its end
+        for m in inside:
+            q, _ = np.linalg.qr(np.stack([np.ones(m), np.arange(m) / n], axis=1))
+            offsets.append(np.concatenate([q, np.zeros((n - m, 2))]))
+        self._offs = np.stack(offsets)
         pv = np.stack([np.pad(one.pv - one.pv[0], (0, n - len(one.pv))) for one in windows])
         self.whole = float(np.sum(pv**2))
         self._mask = np.stack([np.arange(n) < m for m in inside])
@@ -127,12 +130,6 @@ class _Data:
         values = values * self._mask
         along = np.einsum("wnk,wn->wk", self._offs, values)
         return np.asarray(values - np.einsum("wnk,wk->wn", self._offs, along)).ravel()
-
-
-def _orthonormal(time: FloatArray, inside: int) -> FloatArray:
-    """Offset and ramp of a window, shape (n, 2), nothing beyond its end."""
-    q, _ = np.linalg.qr(np.stack([np.ones(inside), time[:inside]], axis=1))
-    return np.concatenate([q, np.zeros((len(time) - inside, 2))])
 
 
 def _moved(co: FloatArray, lag: float, ratio: float, late: float) -> FloatArray:

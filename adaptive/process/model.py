@@ -39,14 +39,6 @@ class ProcessType(StrEnum):
     TOPDT = "topdt"
 
 
-def _type_named(name: str) -> ProcessType:
-    """The structure of that name. Raises ValueError: there is none; the message has the list."""
-    try:
-        return ProcessType(name)
-    except ValueError:
-        raise ValueError(f"type = {name!r} is no process type; use one of {', '.join(ProcessType)}") from None
-
-
 def _plain(of: object, *names: str) -> None:
     """Make numbers of numpy plain ones: a repr then shows numbers, and JSON takes them."""
     for name in names:
@@ -157,7 +149,9 @@ class ProcessModel:
 
     def __post_init__(self) -> None:
         if type(self.type) is not ProcessType:
-            object.__setattr__(self, "type", _type_named(self.type))
+            if self.type not in list(ProcessType):
+                raise ValueError(f"type = {self.type!r} is no process type; use one of {', '.join(ProcessType)}")
+            object.__setattr__(self, "type", ProcessType(self.type))
         _plain(self, "k", "tau1_s", "tau2_s", "theta_s", "zeta", "inverse_s", "tau3_s")
         times = (self.theta_s, self.tau1_s, self.tau2_s)
         if not (self.k and math.isfinite(self.k + sum(times)) and min(times) >= 0):

@@ -92,13 +92,8 @@ def against(lead_s: float, lags_s: list[float]) -> float:
 def set_against(lead_s: float, lag_s: float, theta_s: float) -> LeadOverLag:
     """Apply the rule that holds for a lead, a lag (infinite for an integrator) and an effective dead time, all in s."""
     if lead_s > lag_s:
-        return LeadOverLag(
-            "T1" if theta_s <= lag_s else "T1a" if theta_s <= lead_s else "T1b",
-            lead_s,
-            lag_s,
-            lead_s / min(max(theta_s, lag_s), lead_s),
-            0.0,
-        )
+        rule = "T1" if theta_s <= lag_s else "T1a" if theta_s <= lead_s else "T1b"
+        return LeadOverLag(rule, lead_s, lag_s, lead_s / min(max(theta_s, lag_s), lead_s), 0.0)
     unit = 1.0 if math.isinf(lag_s) else lag_s
     if lead_s >= WITHIN * theta_s:
         return LeadOverLag("T2", lead_s, lag_s, lead_s / unit, 0.0)
