@@ -179,6 +179,7 @@ class Prepared:
     def at(cls, window: Window, dt_s: float) -> "Prepared":
         """A window at an interval, by block means of pv and co alike: one filter on both leaves their relation."""
         finest = max(quantum_sigma(window.pv), hidden_sigma(window.pv))
+        window = window.on_even_clock()
         stepped = tuple((np.flatnonzero(np.diff(window.sp)) + 1).tolist())
         raw = cls(window.pv, window.co, finest, window.sample_time_s, stepped=stepped)
         return raw.condensed(max(round(dt_s / window.sample_time_s), 1))

@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from retuner.adaptive.signals.noise import noise_sigma
-from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.adaptive.signals.sample import GAP, FloatArray, Window
 from retuner.schedule.late_dataclass import dataclass
 
 MOST_ROWS = 400  # rows of a stretch at the most; longer ones are cut
@@ -159,9 +159,6 @@ def tells(stretch: Stretch) -> bool:
 def moving(stretches: Sequence[Stretch]) -> list[Stretch]:
     """The stretches in which both co and pv move."""
     return [s for s in stretches if np.ptp(s.pv) > 0 and np.ptp(np.diff(s.fired(s.t_s))) > 0]
-
-
-GAP = 10.0  # sampling intervals without a sample that are a gap in the record: nothing is known of co in it
 
 
 def without_gaps(window: Window, values: FloatArray) -> list[tuple[Window, FloatArray]]:

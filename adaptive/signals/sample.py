@@ -16,6 +16,8 @@ from retuner.schedule.late_dataclass import dataclass
 FloatArray = npt.NDArray[np.float64]
 
 EVERYWHERE = (-math.inf, math.inf)  # ends of a range that are not known
+EVEN = (0.5, 1.5)  # intervals, in the usual one, between which a clock is even: stamps are rounded, and read late
+GAP = 10.0  # usual intervals without a sample that are a gap in the record: nothing is known of co in it
 LARGEST = 1e30  # largest magnitude of a number; the squares of larger ones leave the range of double precision in a fit
 
 
@@ -149,6 +151,21 @@ class Window:
         co = np.add.reduceat(self.co * held_s, starts) / np.add.reduceat(held_s, starts)
         held = np.asarray(co, dtype=np.float64)
         return Window(self.t_s[starts], self.sp[starts], self.pv[starts], held, self.noise_std)
+
+    def on_even_clock(self) -> "Window":
+        """The record at even times, its median interval apart, where rows are missing or fall anywhere: pv on lines
+        between samples, sp and co as they were held. What is missing in a gap stays missing.
+        """
+        dt, steps = self.sample_time_s, np.diff(self.t_s)
+        if np.all((steps > EVEN[0] * dt) & (steps < EVEN[1] * dt)):
+            return self
+        t = np.concatenate([[0.0], np.cumsum(np.where(steps > GAP * dt, dt, steps))])
+        even = np.arange(0.0, t[-1] + dt / 2, dt)
+        sp, pv = self.sp[np.searchsorted(t, even, "right") - 1], np.interp(even, t, self.pv)
+        ends = np.append(t, t[-1] + dt)
+        fired = np.concatenate([[0.0], np.cumsum(self.co * np.diff(ends))])
+        co = np.asarray(np.diff(np.interp(np.append(even, even[-1] + dt), ends, fired)) / dt, dtype=np.float64)
+        return Window(self.t_s[0] + even, sp, pv, co, self.noise_std)
 
     @property
     def sample_time_s(self) -> float:

@@ -39,7 +39,7 @@ from retuner.adaptive.explanations.wandering_load import (
 )
 from retuner.adaptive.fit import engine
 from retuner.adaptive.loop.margins import gain_margin, sensitivity_peak
-from retuner.adaptive.signals.sample import FloatArray
+from retuner.adaptive.signals.sample import FloatArray, Window
 
 
 @pytest.mark.parametrize("lag", [0.03, 3.0, 33.0, math.inf, -16.0])
@@ -330,3 +330,15 @@ def test_a_record_whose_process_does_nothing_is_answered_by_both_engines() -> No
             found = log_likelihood(record, 1, 1.0)
         assert np.all(np.isfinite(found))
         assert np.ptp(found, axis=2) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_rows_that_are_missing_or_fall_anywhere_stand_at_their_times() -> None:
+    rng, t = np.random.default_rng(1), np.arange(600.0)
+    whole = Window(t, np.where(t < 300, 0.0, 1.0), np.sin(t / 30.0), np.cos(t / 30.0))
+    rows = np.sort(rng.choice(600, 400, replace=False))
+    rows[0], rows[-1] = 0, 599
+    some = Window(*(one[rows] for one in (whole.t_s, whole.sp, whole.pv, whole.co)))
+    found, wanted = Prepared.at(some, 1.0), Prepared.at(whole, 1.0)
+    assert found.pv == pytest.approx(wanted.pv, abs=0.02)
+    assert found.co == pytest.approx(wanted.co, abs=0.3)
+    assert Prepared.at(whole, 1.0).pv == pytest.approx(whole.pv - whole.pv[0])
