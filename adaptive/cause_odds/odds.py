@@ -97,6 +97,7 @@ def diagnose_records(
     *,
     direction: int | None = None,
     rough: PidGains | None = None,
+    earlier: Sequence[PidGains | None] = (),
     settings: OddsSettings | None = None,
     diagnosis: DiagnosisSettings | None = None,
 ) -> OddsFound:
@@ -104,9 +105,10 @@ def diagnose_records(
 
     Parameters
     ----------
-    windows : the records, one or more. gains : in force in all of them; without them only a valve can be told.
+    windows : the records, one or more. gains : in force; without them only a valve can be told.
     co_min, co_max : limits of co where known. direction : sign of the controller's gain where no more is known.
     rough : gains that are known too badly for settings to follow, but well enough for odds.
+    earlier : of a record that ran under other gains these, else None: it tells of process and valve alone.
 
     Returns
     -------
@@ -114,16 +116,19 @@ def diagnose_records(
         The most probable cause first in `found.diagnosis`, all causes in its `causes`, sum 1.
     """
     settings, diagnosis = settings or OddsSettings(), diagnosis or DiagnosisSettings(by_odds=True)
+    own = earlier or (None,) * len(windows)
     each = [
-        diagnose_window(w, gains, co_min, co_max, diagnosis, direction=direction, rough_law=rough_law) for w in windows
+        diagnose_window(w, one or gains, co_min, co_max, diagnosis, direction=direction, rough_law=rough_law)
+        for w, one in zip(windows, own, strict=True)
     ]
     open_ones = [(w, f) for w, f in zip(windows, each, strict=True) if not _final(w, f)]
     if not open_ones:
         return OddsFound(_alone(each[0], settings))
-    told = max((f for _, f in open_ones), key=lambda f: (f.diagnosis.cause != Cause.UNKNOWN, f.diagnosis.confidence))
+    with_own = zip(windows, each, own, strict=True)
+    now = [(w, f) for w, f, one in with_own if one is None and not _final(w, f)] or open_ones
+    told = max((f for _, f in now), key=lambda f: (f.diagnosis.cause != Cause.UNKNOWN, f.diagnosis.confidence))
     at = next(i for i, f in enumerate(each) if f is told)
-    known = gains or rough
-    sign = known.direction if known is not None else direction
+    sign = known.direction if (known := gains or rough) is not None else direction
     tests = [w for w, f in zip(windows, each, strict=True) if _final(w, f) and _in_steps(w)]
     asked = [*(w for w, _ in open_ones), *tests]
     signs = (sign,) if sign else (1, -1)
@@ -138,13 +143,11 @@ def diagnose_records(
     stepped = any(setpoint_changes(w) for w, _ in open_ones)  # what a valve does after a step may repeat as steps do
     if not stepped and (walk.valve > 0.0 or by_shape > 0.0):
         walk = max((_repeating(walk, [w for w, _ in open_ones], one) for one in signs), key=lambda w: w.repeats)
-    tones = [_lasting_tone(f, settings) for _, f in open_ones if stepped and "external" in f.fits]
+    tones = [_lasting_tone(f, settings) for _, f in now if stepped and "external" in f.fits]
     under_walk, whole = _under_walk(walk, odds, by_shape, settings, max(tones, default=0.0))
-    under_steps, weight = _under_steps(open_ones, under_walk, whole, walk, known, settings)
-    most = 1.0 - (1.0 - settings.most) / len(open_ones)
-    causes = _mixed(under_steps, under_walk, weight, most)
-    limits = (co_min, co_max)
-    verdict = _verdict(told, causes, weight, odds, walk, open_ones, settings, limits, sure=gains is not None)
+    under_steps, weight = _under_steps(now, under_walk, whole, walk, known, settings)
+    causes = _mixed(under_steps, under_walk, weight, 1.0 - (1.0 - settings.most) / len(open_ones))
+    verdict = _verdict(told, causes, weight, odds, walk, now, settings, (co_min, co_max), sure=gains is not None)
     return replace(verdict, record=at)
 
 

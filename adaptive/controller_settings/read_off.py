@@ -352,7 +352,7 @@ def _disagreement(found: Regression, window: Window, settings: LawSettings) -> s
     )
     for name in ("kp", "ki"):
         spread = math.hypot(*(f.std.get(name, 0.0) for f in (first, second)))
-        if _apart([f.values.get(name, 0.0) for f in (first, second)], spread, settings.disagreement):
+        if apart([f.values.get(name, 0.0) for f in (first, second)], spread, settings.disagreement):
             a, b = first.values[name], second.values[name]
             return (
                 f"{name} is {a:.3g} in the first half of the record and {b:.3g} in the second; "
@@ -364,7 +364,7 @@ def _disagreement(found: Regression, window: Window, settings: LawSettings) -> s
     # kp of a controller that integrates the mean of two samples
     both = ((found, window.sample_time_s), (slow, SLOW * window.sample_time_s))
     pair = [f.values["kp"] - f.values.get("ki", 0.0) * dt / 2 for f, dt in both]
-    if _apart(pair, math.hypot(found.std["kp"], slow.std["kp"]), settings.slow_disagreement):
+    if apart(pair, math.hypot(found.std["kp"], slow.std["kp"]), settings.slow_disagreement):
         return (
             f"kp is {pair[0]:.3g} in fast movements and {pair[1]:.3g} in slow ones; the record is too coarse for "
             "this controller's derivative, or the controller used another pv"
@@ -372,7 +372,7 @@ def _disagreement(found: Regression, window: Window, settings: LawSettings) -> s
     return ""
 
 
-def _apart(values: list[float], std: float, ratio: float) -> bool:
+def apart(values: list[float], std: float, ratio: float) -> bool:
     """Whether two values differ by more than chance and by more than matters."""
     least = (ratio - 1) * max(map(abs, values))
     return abs(values[0] - values[1]) > max(SIGNIFICANT * std, least)

@@ -9,6 +9,7 @@ import numpy.typing as npt
 from retuner.adaptive import display_hook
 from retuner.adaptive.cause_odds.odds import OddsFound, diagnose_records
 from retuner.adaptive.choice.foreseen import ASKED, Foreseen, foreseen, weighed_models
+from retuner.adaptive.controller_settings.changed_settings import differ, under_one_setting
 from retuner.adaptive.controller_settings.read_off import settings_in_force
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
 from retuner.adaptive.explanations.settings_by_odds import likely_processes, models
@@ -46,6 +47,7 @@ class RecordDiagnosis(display_hook.Shown):
     on : which of several records it is told of, from 0.
     foreseen : what the settings, or where none are recommended the best of each likely process, would have made of that
         record; None where the tuning is not in question.
+    earlier : gains of each record that ran under others than those in force, else None.
     """
 
     diagnosis: Diagnosis
@@ -60,6 +62,7 @@ class RecordDiagnosis(display_hook.Shown):
     room: tuple[float, float] | None = None
     on: int = 0
     foreseen: Foreseen | None = None
+    earlier: tuple[PidGains | None, ...] = ()
 
     def __repr__(self) -> str:
         told = self.diagnosis
@@ -156,9 +159,20 @@ def diagnose(
         windows = [window_of(cast("Record", one), None, None, None) for one in t]
     else:
         windows = [window_of(cast("Times | Record", t), sp, pv, co)]
-    windows = [day for window in windows for day in days_of(window)]
+    windows = parts_of(windows, gains, co_min, co_max)
     found = diagnose_windows(windows, gains=gains, co_min=co_min, co_max=co_max)
     return replace(found, record=windows[found.on])
+
+
+def parts_of(
+    windows: Sequence[Window], gains: PidGains | None, co_min: float | None = None, co_max: float | None = None
+) -> list[Window]:
+    """The records that are diagnosed: each day of one by itself, and what ran under each of several settings.
+
+    gains : in force, where they were given; then nobody asks when they came.
+    """
+    days = [day for window in windows for day in days_of(window)]
+    return days if gains else [part for day in days for part in under_one_setting(day, co_min, co_max)]
 
 
 def diagnose_windows(
@@ -171,19 +185,23 @@ def diagnose_windows(
 ) -> RecordDiagnosis:
     """The diagnosis of several records of one loop with one controller: each adds to the odds.
 
-    Where no gains are given, those of the newest record that shows any are taken for all. cause_only : what settings
-    would gain is not worked out.
+    Where no gains are given, those of the newest record that shows any are in force. cause_only : what settings would
+    gain is not worked out.
     """
     windows = [within(window, co_min, co_max) for window in windows]
     direction = rough = None
+    earlier: tuple[PidGains | None, ...] = (None,) * len(windows)
     if gains is None:
         # gains that the newest record shows, else rough ones, and the direction of the controller
-        each = [settings_in_force(window, co_min, co_max) for window in reversed(windows)]
-        gains = next((one.gains for one in each if one.gains is not None), None)
-        rough = next((one.rough for one in each if one.rough is not None), None) if gains is None else None
+        each = [settings_in_force(window, co_min, co_max) for window in windows]
+        newest = next((one for one in reversed(each) if one.gains is not None), None)
+        if newest is not None:
+            gains, earlier = newest.gains, tuple(one.gains if differ(one, newest) else None for one in each)
+        else:
+            rough = next((one.rough for one in reversed(each) if one.rough is not None), None)
         signs = [one.direction for one in each if one.direction is not None]
         direction = (1 if sum(signs) > 0 else -1) if signs else None
-    told = diagnose_records(windows, gains, co_min, co_max, direction=direction, rough=rough)
+    told = diagnose_records(windows, gains, co_min, co_max, direction=direction, rough=rough, earlier=earlier)
     found, worth = told.found, told.settings
     fits = {name: c.fit.at.explained for name, c in found.fits.items()}
     now, aim = (followed_settings(found.estimate, tuning) for tuning in (found.tuning, found.aim))
@@ -203,6 +221,7 @@ def diagnose_windows(
         room=(worth.sure, worth.likely) if worth is not None else None,
         on=told.record,
         foreseen=saved,
+        earlier=earlier,
     )
 
 

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from plain_recording import read_recording
 
+from retuner.adaptive.controller_settings.changed_settings import under_one_setting
 from retuner.adaptive.controller_settings.read_off import SettingsInForce, settings_in_force
 from retuner.adaptive.controller_settings.regression import Structure, by_levels
 from retuner.adaptive.region_model.co_curve import CoCurve, added, before
@@ -286,3 +287,25 @@ def test_it_says_no_more_than_the_records_said(records: list[tuple[float, float]
 def test_what_is_no_number_is_refused(slope: float, std: float) -> None:
     with pytest.raises(ValueError, match="co's curve"):
         CoCurve(slope, std)
+
+
+@pytest.mark.parametrize(("row", "kp"), [(800, 0.4), (200, 0.4), (1400, 0.4), (800, 1.6)])
+def test_a_record_is_parted_where_its_settings_were_changed(row: int, kp: float) -> None:
+    first, second = record(PidGains(0.8, 0.04), seed=1), record(PidGains(kp, kp / 20.0), seed=2)
+    rows = slice(800 - min(row, 800), None), slice(1600 - max(row, 800))
+    values = {k: np.concatenate([getattr(first, k)[rows[0]], getattr(second, k)[rows[1]]]) for k in ("sp", "pv", "co")}
+    both = Window(np.arange(len(values["pv"]), dtype=float), **values)
+    parts = under_one_setting(both)
+    assert [len(part.t_s) for part in parts] == [
+        pytest.approx(800 - max(800 - row, 0), abs=3),
+        pytest.approx(len(both.t_s) - min(row, 800), abs=3),
+    ]
+    assert [settings_in_force(part).gains.kp for part in parts] == [
+        pytest.approx(0.8, rel=0.05),
+        pytest.approx(kp, rel=0.05),
+    ]
+
+
+def test_a_record_under_one_law_is_not_parted() -> None:
+    window = record(PidGains(0.8, 0.04), quantum=0.1)
+    assert under_one_setting(window) == [window]

@@ -51,6 +51,7 @@ KEYS = {
     "reason",
     "foreseen",
     "gains_in_force",
+    "before",
     "model",
     "std",
     "identifiable",

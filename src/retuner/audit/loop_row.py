@@ -31,7 +31,7 @@ from retuner.adaptive.identification.robust_simc import RobustSettings, believed
 from retuner.adaptive.indexes.days import MOST_DAYS, days_of, off_in
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.audit.catalogue import ANY_FAULT, Task, told_fault
-from retuner.diagnosing import RecordDiagnosis, diagnose_windows
+from retuner.diagnosing import RecordDiagnosis, diagnose_windows, parts_of
 from retuner.drivers.historian.loop_record import LoopRecord, loop_in_pieces, read_loop_record, read_loops
 from retuner.drivers.historian.parquet_tables import MOST_ROWS
 from retuner.drivers.historian.record_form import RecordForm
@@ -213,7 +213,7 @@ class _LoopRecords:
         days = days[-MOST_DAYS:]
         most = -(-settings.stretches // len(days)) if known else 0
         for stretch in (one for day in days for one in stretches_of_interest(day, screen.period_s, most)):
-            found = diagnose_windows([stretch])
+            found = diagnose_windows(parts_of([stretch], None))
             told = found.diagnosis
             begin_s, end_s = float(stretch.t_s[0]) + later_s, float(stretch.t_s[-1]) + later_s
             seen = StretchVerdict(begin_s, end_s, told.cause, told.confidence, told.reason)

@@ -195,6 +195,18 @@ def test_a_list_of_records_is_diagnosed_as_one_loop() -> None:
     assert sum(found.diagnosis.causes.values()) == pytest.approx(1.0)
 
 
+@pytest.mark.slow
+def test_a_loop_whose_settings_were_changed_is_told_by_those_in_force_now() -> None:
+    """In one record, or in one before and one after: what ran under others shows the process only."""
+    before, after = loop(4.0, step=4.0), loop(1.0, step=4.0, seed=2)
+    sp, pv, co = (np.concatenate([getattr(one, name) for one in (before, after)]) for name in ("sp", "pv", "co"))
+    for found in (diagnose(np.arange(1200.0), sp, pv, co), diagnose_windows([before, after])):
+        assert (found.cause, found.on) == (Cause.OK, 1)
+        assert found.active is not None
+        assert found.active.kp == pytest.approx(1.0, abs=0.1)
+        assert [own is None for own in found.earlier] == [False, True]
+
+
 def test_settings_that_make_no_sense_are_refused() -> None:
     with pytest.raises(ValueError, match="must sum to 1"):
         OddsSettings(ok=0.9)

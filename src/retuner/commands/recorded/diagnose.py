@@ -4,6 +4,7 @@ Where the settings in force are not given they are read off the record (adaptive
 without them nothing can be said of the tuning.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -43,9 +44,9 @@ class DiagnosedRecord:
     """A diagnosed record with everything that is shown.
 
     source : of all records. window : of the one that the verdict is told of. gains : the settings in force, given or
-    read off. read_off : how they were, None when they were given. seen, loop : indexes of that record. change : what
-    the recommended settings would have done, None where there are none. evidence : numbers by name, of the indexes and
-    of the diagnosis. notes : what the record lacks.
+    read off. read_off : how they were, None when they were given. before : those that ran before it, in words. seen,
+    loop : indexes of that record. change : what the recommended settings would have done, None where there are none.
+    evidence : numbers by name, of the indexes and of the diagnosis. notes : what the record lacks.
     """
 
     source: str
@@ -53,6 +54,7 @@ class DiagnosedRecord:
     result: RecordDiagnosis
     gains: PidGains | None
     read_off: SettingsInForce | None
+    before: tuple[str, ...]
     seen: Screening
     loop: LoopScreen
     change: ShownChange | None
@@ -83,23 +85,23 @@ def diagnose(options: DiagnoseOptions) -> int:
     source = records[0].recording.source
     source = source if len(records) == 1 else f"{source} and {len(records) - 1} more"
     with user_input(source), busy(f"diagnosing {source}"):
-        windows = [day for recording in [read.recording for read in records] for day in days_of(recording.window())]
+        whole = [read.recording.window() for read in records]
+        windows = diagnosing.parts_of(whole, gains, options.co_min, options.co_max)
         result = diagnosing.diagnose_windows(windows, gains=gains, co_min=options.co_min, co_max=options.co_max)
         window = windows[result.on]
-        read_off = None
-        if gains is None and not options.open_loop:
-            read_off = settings_in_force(window, options.co_min, options.co_max)
+        asked = gains is None and not options.open_loop
+        read_off = settings_in_force(window, options.co_min, options.co_max) if asked else None
         seen = screen(window, result.active, options.co_min, options.co_max)
         evidence = {**seen.evidence, **result.diagnosis.evidence}
         model = result.model
-        notes = shortcomings(window, seen, model)
-        loop = screen_loop(window, model.theta_s if model is not None else None)
+        notes, loop = shortcomings(window, seen, model), screen_loop(window, model.theta_s if model else None)
         change = None if options.open_loop else change_of(window, result)
-        found = DiagnosedRecord(source, window, result, result.active, read_off, seen, loop, change, evidence, notes)
+        gains, before = result.active, _before(result, windows, one_record=len(records) == 1)
+        found = DiagnosedRecord(source, window, result, gains, read_off, before, seen, loop, change, evidence, notes)
     if options.plot is not None:
         write_whole(options.plot, _picture(found, options))
     assumed = tuple(dict.fromkeys(one for read in records for one in read.assumed))
-    assumed += days_told(len(windows), len(records))
+    assumed += days_told(sum(len(days_of(one)) for one in whole), len(records))
     tell_assumed(assumed, options)
     rule, model = AIMS[options.aim], found.result.model
     if rule is None:
@@ -122,6 +124,12 @@ def diagnose(options: DiagnoseOptions) -> int:
     return 1 if found.result.diagnosis.cause == Cause.UNKNOWN else 0
 
 
+def _before(result: RecordDiagnosis, windows: Sequence[Window], *, one_record: bool) -> tuple[str, ...]:
+    """The settings that ran before those in force, in words."""
+    until = [f" until {one.t_s[-1]:.5g} s" if one_record else " in a record" for one in windows]
+    return tuple(f"{settings_text(own)}{end}" for own, end in zip(result.earlier, until, strict=False) if own)
+
+
 AIMS = {"tight": None, "smooth": "simc-smooth", "averaging": "averaging"}
 """Rules of the aims; tight control is what is recommended anyway."""
 USUAL = (5.0, 95.0)  # percentiles of co between which it moves because of loads
@@ -139,6 +147,7 @@ def document(found: DiagnosedRecord) -> dict[str, object]:
         **told,
         "evidence": {**found.seen.evidence, **value},
         "gains_in_force": _in_force(found),
+        "before": list(found.before),
         "identifiable": estimate.get("identifiable", False),
         "model": estimate.get("model"),
         "std": estimate.get("std"),
@@ -297,7 +306,8 @@ def _controller_lines(found: DiagnosedRecord) -> list[str]:
         known = f"about {settings_text(rough)}, too rough for new settings" if rough is not None else "not known"
         return [f"{'active':<{NAME}}{known}{why}"] if found.read_off is not None else []
     shown = ", as the record shows" if found.read_off is not None else ""
-    return [f"{'active':<{NAME}}{settings_text(found.gains)}{shown}"]
+    before = [f"{'before':<{NAME}}{', '.join(found.before)}: what ran so shows the process only"]
+    return [f"{'active':<{NAME}}{settings_text(found.gains)}{shown}", *before[: len(found.before)]]
 
 
 def _process_lines(found: DiagnosedRecord) -> list[str]:

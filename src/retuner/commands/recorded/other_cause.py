@@ -5,10 +5,9 @@ known from them, do settings follow from the odds of all?
 from collections.abc import Sequence
 
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
-from retuner.adaptive.indexes.days import days_of
 from retuner.adaptive.signals.sample import Window
 from retuner.decision_page.decision_words import settings_text
-from retuner.diagnosing import RecordDiagnosis, diagnose_windows
+from retuner.diagnosing import RecordDiagnosis, diagnose_windows, parts_of
 from retuner.schedule.gains import PidGains
 
 
@@ -16,8 +15,8 @@ def diagnosed(
     windows: Sequence[Window], gains: PidGains | None, limits: tuple[float | None, float | None], *, cause_only: bool
 ) -> RecordDiagnosis:
     """What diagnose says of the same records; cause_only : see diagnose_windows."""
-    days = [day for window in windows for day in days_of(window)]
-    return diagnose_windows(days, gains=gains, co_min=limits[0], co_max=limits[1], cause_only=cause_only)
+    parts = parts_of(windows, gains, *limits)
+    return diagnose_windows(parts, gains=gains, co_min=limits[0], co_max=limits[1], cause_only=cause_only)
 
 
 def other_cause(told: Diagnosis) -> Diagnosis | None:
