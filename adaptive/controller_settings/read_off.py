@@ -37,6 +37,7 @@ WORTH = 10.0  # gain in the criterion that a richer structure must bring
 FILTERS = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)  # filter times that are tried, in samples
 GAUSS_NEWTON = 8  # Gauss-Newton steps of the filter time from the best of these
 NEAR_LIMIT = 0.9  # quantile of |increment of co| within which of a limit, once hit, co is not believed to be the law's
+WHOLE = (1.0, 100.0)  # upper ends of the range of co as it is usually written
 DIFFERENCED = -0.25
 """Correlation of what increments leave from which it is rounding, half way to the -1/2 of nothing but rounding."""
 LEVELS_BETTER = 0.8  # ratio of the standard deviations of kp from which levels are taken instead of increments
@@ -56,8 +57,9 @@ def usable_increments(window: Window, co_min: float | None, co_max: float | None
     co = window.co
     limits = at_limits(co, co_min, co_max)
     reach = TOLERANCE * float(np.ptp(co))
-    low = co_min if co_min is not None else float(np.min(co)) if limits.low else -math.inf
-    high = co_max if co_max is not None else float(np.max(co)) if limits.high else math.inf
+    least, most = float(np.min(co)), float(np.max(co))  # ends of the range show it where they are touched but once
+    low = co_min if co_min is not None else least if limits.low or least == 0.0 else -math.inf
+    high = co_max if co_max is not None else most if limits.high or most in WHOLE else math.inf
     reach = max(reach, quantile(np.abs(np.diff(co)), NEAR_LIMIT)) if limits.hit else reach
     inside = (co > low + reach) & (co < high - reach)  # nearer to a limit, anti-windup has its hand in it
     for start, end in still_stretches(co):

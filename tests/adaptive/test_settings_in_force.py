@@ -1,6 +1,7 @@
 """Controller settings recovered from records: the law's own records, rounded and limited ones, and a real servo."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from hypothesis import strategies as st
 from plain_recording import read_recording
 
 from retuner.adaptive.controller_settings.changed_settings import under_one_setting
-from retuner.adaptive.controller_settings.read_off import SettingsInForce, settings_in_force
+from retuner.adaptive.controller_settings.read_off import SettingsInForce, settings_in_force, usable_increments
 from retuner.adaptive.controller_settings.regression import Structure, by_levels
 from retuner.adaptive.region_model.co_curve import CoCurve, added, before
 from retuner.adaptive.signals.sample import Window
@@ -309,3 +310,10 @@ def test_a_record_is_parted_where_its_settings_were_changed(row: int, kp: float)
 def test_a_record_under_one_law_is_not_parted() -> None:
     window = record(PidGains(0.8, 0.04), quantum=0.1)
     assert under_one_setting(window) == [window]
+
+
+def test_an_end_of_the_range_that_a_kick_touches_once_is_no_move_of_the_law() -> None:
+    window = record(PidGains(0.8, 0.04))
+    touched = replace(window, co=np.where(np.arange(800) == 300, 100.0, window.co))
+    usable = usable_increments(touched, None, None)
+    assert np.flatnonzero(~usable).tolist() == [299, 300, 301]
