@@ -194,7 +194,6 @@ def _mean(a: float, b: float, share: float) -> float:
 # 1/sqrt(r))/2: 6 % for r = 2, 25 % for r = 4. So sets that suit both knots may be too much between them, and a region
 # answers for its own half of every way to a neighbour. Up to a boundary of a table of steps it is sqrt(r) whole.
 
-
 OWN_HALF = (0.25, 0.5)  # weights of the neighbour at the places that a region answers for
 EASED = (1.0, 0.94, 0.88, 0.82, 0.76, 0.7, 0.65, 0.6, 0.55, 0.5)
 """Shares of the wanted gains that are tried: where less is needed, it is the neighbour's set that is too much."""

@@ -100,7 +100,6 @@ class MsOnModels:
 
 # The rule's own settings at larger tau_c: the first remedy for what is not robust.
 
-
 STEPS = 3  # equal ratios from the proposal's tau_c to the largest
 RULE = "simc"  # the rule whose settings the guard can find by itself
 

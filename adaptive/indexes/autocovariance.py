@@ -159,7 +159,6 @@ def decay_ratio(x: FloatArray) -> float | None:
 # and an oscillation is told when x exceeds 10. One load disturbance is one or two detections; an oscillation is two a
 # period.
 
-
 SUPERVISION_PERIODS = 50.0  # supervision time in periods (Hagglund 1995)
 
 

@@ -18,7 +18,6 @@ TOLERANCE = 1e-3  # co counts as at its limit within this share of its range in 
 STRETCH = 5  # samples in a row at the extreme value that make a limit recognised
 MOVING = 0.3  # share of the other samples in which co must change for a recognised limit
 
-
 BACK = 0.75
 """Share of the samples at an extreme in which the error pushes inwards, from which a hand must hold co there."""
 REST = 1e-9  # share of the largest error up to which there is none: digits of a double

@@ -103,7 +103,6 @@ def _symbols(x: FloatArray) -> FloatArray:
 # below 1/3 it is even (aggressive tuning, outside oscillation). Not for integrating processes: there both cases look
 # alike.
 
-
 NO_CORRELATION = 0.02  # correlations within this share of the largest one count as zero
 
 
@@ -335,7 +334,6 @@ def _detection(window: Window, gains: PidGains | None, period_s: float | None) -
 # the best addition to fitted hypotheses on real records. The second takes up the flat stretches of Yamashita (2006)
 # for slower sampling; pv stands where it changes by less than its noise band over a stretch in which co moves out of
 # its own.
-
 
 LARGEST = 0.05  # share of the increments that counts as jumps
 FEWEST_INCREMENTS = 40  # increments needed: two jumps in a twentieth

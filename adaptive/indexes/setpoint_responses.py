@@ -95,7 +95,6 @@ def _response(e: FloatArray, band: float) -> tuple[float, float | None]:
 # a well tuned one is around -0.5 to 0; an oscillating one is near -1 to 0. So a low value does not praise a loop. As in
 # Kuehl & Horch (2005) the signals are smoothed, and increments within the noise count for neither side.
 
-
 NOISE_BAND = 3.0  # standard deviations of noise within which an increment has no sign
 FEWEST_INCREMENTS = 10  # increments with a sign that are needed
 

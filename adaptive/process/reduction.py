@@ -40,7 +40,6 @@ from retuner.schedule.late_dataclass import dataclass, replace
 # T0/small < 1.6. An integrator is a lag without bound: its gain is k' = k/tau0, so the limits of T2 and T3 are
 # k' T0 and k' 5 theta/((5 theta - T0) s + 1).
 
-
 CLOSE = 1.6  # A smaller lag is close to a lead within this ratio (Skogestad 2003)
 WITHIN = 5.0
 """Lags beyond this many dead times look like integrators to the closed loop (Skogestad 2003, rules T2 and T3)."""

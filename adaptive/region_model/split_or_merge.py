@@ -48,7 +48,6 @@ from retuner.schedule.regions import Axis, Regions
 # interval is added to the delay, as everywhere on line. The covariance is that of the log-parameters, taken across one
 # standard deviation either way.
 
-
 SIZE = 2
 
 

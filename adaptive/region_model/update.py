@@ -140,7 +140,6 @@ class Agreement(StrEnum):
 ANEW = frozenset({Agreement.FIRST, Agreement.OPENED, Agreement.CHANGED})
 """Agreements after which the model rests on nothing that was believed before."""
 
-
 MOST_SCATTER = 1.5  # a factor of 4.5; records that go on beyond the end of an axis have no more
 
 
