@@ -166,34 +166,9 @@ def _smooth(values: FloatArray) -> FloatArray:
     return np.asarray(np.convolve(values, np.ones(SMOOTHED) / SMOOTHED, mode="valid"), dtype=np.float64)
 
 
-# Settings of the pattern rule: see pattern_rule.py.
-
-
 @dataclass(frozen=True, slots=True)
 class PatternSettings:
     """Settings. Where no source is named, the value did best on the batch's first seeds (benchmarks/online).
-
-    gain : g of the rule, ln of a factor per unit of margin; 0.5 to 3, default 1.5.
-    urgent_step : factor at once when the swing grows; 1.05 to 4, default 2.
-    careful : factor per response without a second peak, at most step_up; 1.02 to 2, default 1.2.
-    co_enough : overshoot of co from which a response without a second peak is fast enough; 0 to 0.3, default 0.05.
-    fast_ratio, slow_ratio : T/tau_I below which a swing is the gain's doing, and above which it is the integral's;
-        defaults 1.5 and 4 (the integral's lag is 13 and 32 degrees there).
-    long_ratio : T/tau_I below which tau_I is long; default 1.2 (tau_I = 0.83 T, Ziegler & Nichols 1942 for PI).
-    long_tail : return over rise of a load response above which tau_I is too long; default 8 (SIMC's is 4 to 5).
-    slow_periods : T over the time of the first tenth above which a swing is slow; default 20 (SIMC's is 7 to 12; two
-        equal lags under too much gain have 14 to 17).
-    slow_decays : and its overshoot at most; default 0.6.
-    riding : damping above overshoot by this: the swing rides on a slow return, so the gain gives way; default 0.1.
-    least_bands : least height of a response in noise bands; 3 to 20, default 6 (an overshoot of a sixth shows then).
-    gap : damping and overshoot further apart belong to no ordinary response; default 0.35.
-    uneven : ratio of the times between the peaks of a load response above which they are two upsets; default 2.5.
-    limited : largest share of the upset with co at a limit; 0.01 to 0.5, default 0.1.
-    pulse : share of its own travel that co must end away from where it began after a load; default 0.4.
-    rested_bands : noise bands that pv may have been off before a load, for a response without a second peak to be
-        called slow; default 1.5.
-    undying : damping above which a swing may be a valve's or another loop's; default 0.85.
-    alone : nothing else looks for such causes: act on an undying swing, too; default no. For comparisons.
 
     Raises ValueError: a number is outside its range, not finite and positive, or a factor below 1.
     """
@@ -213,31 +188,34 @@ class PatternSettings:
     dead_zone: float = setting(
         0.05, "Distance from the targets within which nothing moves", "0.02..0.2", "what noise makes of an overshoot"
     )
-    gain: float = 1.5
+    gain: float = 1.5  # g of the rule, ln of a factor per unit of margin, 0.5 to 3
     step_up: float = setting(
         1.3, "Greatest factor per response towards more action", "1.05..2", "a gain margin of 1.9 outlives two of them"
     )
     step_down: float = setting(
         1.5, "Greatest factor per response towards less action", "1.05..2", "safety is reached faster than speed"
     )
-    urgent_step: float = 2.0
-    careful: float = 1.2
-    co_enough: float = 0.05
-    fast_ratio: float = 1.5
-    slow_ratio: float = 4.0
-    long_ratio: float = 1.2
-    long_tail: float = 8.0
+    urgent_step: float = 2.0  # factor at once when the swing grows, 1.05 to 4
+    careful: float = 1.2  # factor per response without a second peak, at most step_up, 1.02 to 2
+    co_enough: float = 0.05  # overshoot of co from which a response without a second peak is fast enough, 0 to 0.3
+    fast_ratio: float = 1.5  # T/tau_I below which a swing is the gain's doing: the integral's lag is 13 degrees there
+    slow_ratio: float = 4.0  # the same above which it is the integral's: 32 degrees
+    long_ratio: float = 1.2  # T/tau_I below which tau_I is long (tau_I = 0.83 T, Ziegler & Nichols 1942 for PI)
+    long_tail: float = 8.0  # return over rise of a load response above which tau_I is too long (SIMC's is 4 to 5)
+    # T over the time of the first tenth above which a swing is slow (SIMC's is 7 to 12; two equal lags under too much
+    # gain have 14 to 17)
     slow_periods: float = 20.0
-    slow_decays: float = 0.6
-    riding: float = 0.1
-    least_bands: float = 6.0
-    gap: float = 0.35
-    uneven: float = 2.5
-    limited: float = 0.1
-    pulse: float = 0.4
+    slow_decays: float = 0.6  # and its overshoot at most
+    riding: float = 0.1  # damping above overshoot by this: the swing rides on a slow return, so the gain gives way
+    least_bands: float = 6.0  # least height of a response in noise bands, 3 to 20: an overshoot of a sixth shows then
+    gap: float = 0.35  # damping and overshoot further apart belong to no ordinary response
+    uneven: float = 2.5  # ratio of the times between peaks of a load response above which they are two upsets
+    limited: float = 0.1  # largest share of the upset with co at a limit, 0.01 to 0.5
+    pulse: float = 0.4  # share of its own travel that co must end away from where it began after a load
+    # noise bands that pv may have been off before a load, for a response without a second peak to be called slow
     rested_bands: float = 1.5
-    undying: float = 0.85
-    alone: bool = False
+    undying: float = 0.85  # damping above which a swing may be a valve's or another loop's
+    alone: bool = False  # nothing else looks for such causes: act on an undying swing, too (for comparisons)
 
     @property
     def least_up(self) -> float:

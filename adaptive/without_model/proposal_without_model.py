@@ -76,40 +76,24 @@ class SlowSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class SlowSwing(Numbers):
-    """decay : each peak against the one before. ratio : period over tau_I; limit : the least of a slow oscillation."""
-
-    decay: float
-    period_s: float
-    ratio: float
-    limit: float
-
-
-@dataclass(frozen=True, slots=True)
-class SlowDamping(Numbers):
-    """zeta : as the period says. expected : the decay that goes with it."""
-
-    zeta: float
-    expected: float
-
-
-@dataclass(frozen=True, slots=True)
-class SlowCure(Numbers):
-    """factor : on Kc tau_I. printed_factor : by the rule as printed. kc_factor, tau_i_factor : how the two share it."""
-
-    factor: float
-    printed_factor: float
-    kc_factor: float
-    tau_i_factor: float
-
-
-@dataclass(frozen=True, slots=True)
 class SlowNumbers(Numbers):
-    """What was weighed, as far as the rule came."""
+    """What was weighed, as far as the rule came.
 
-    swing: SlowSwing | None = None
-    damping: SlowDamping | None = None
-    cure: SlowCure | None = None
+    decay : each peak against the one before. ratio : period over tau_I; limit : the least of a slow oscillation.
+    zeta : as the period says. expected : the decay that goes with it. factor : on Kc tau_I. printed_factor : by the
+    rule as printed. kc_factor, tau_i_factor : how the two share it.
+    """
+
+    decay: float | None = None
+    period_s: float | None = None
+    ratio: float | None = None
+    limit: float | None = None
+    zeta: float | None = None
+    expected: float | None = None
+    factor: float | None = None
+    printed_factor: float | None = None
+    kc_factor: float | None = None
+    tau_i_factor: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,9 +116,9 @@ def slow_oscillation_online(
     """
     reading, numbers = _reading(response, gains, diagnosis, settings, locks)
     sentence = reading.value.format(cause=diagnosis.reason if diagnosis else "", **numbers.to_dict())
-    if numbers.cure is None:
+    kc, tau_i = numbers.kc_factor, numbers.tau_i_factor
+    if kc is None or tau_i is None:
         return SlowAdvice(reading, sentence, numbers)
-    kc, tau_i = numbers.cure.kc_factor, numbers.cure.tau_i_factor
     moved = PidGains(gains.kp * kc, gains.ki * kc / tau_i, gains.kd * kc)  # the rule does not speak of tau_D: it stays
     return SlowAdvice(reading, sentence, numbers, Tuning("slow-oscillation", "ideal", moved, None, (sentence,)))
 
@@ -153,22 +137,25 @@ def _reading(
     if len(response.peaks) < (3 if response.sp_changed else 2):  # the first peak of a setpoint step is its beginning
         return SlowReading.NO_SWING, nothing
     before, last = response.peaks[-2:]
-    period_s = 2 * (last.t_s - before.t_s)
-    swing = SlowSwing(-last.e / before.e, period_s, period_s / (gains.kp / gains.ki), max(2 * math.pi, SHORTEST_PERIOD))
-    if swing.ratio < swing.limit:
-        return SlowReading.NOT_SLOW, SlowNumbers(swing)
-    zeta = zeta_of(swing.ratio)
-    damping = SlowDamping(zeta, math.exp(-math.pi * zeta / math.sqrt(1 - zeta**2)))
-    if abs(swing.decay - damping.expected) > settings.unlike:
-        return SlowReading.NOT_ALIKE, SlowNumbers(swing, damping)
+    decay, period_s, tau_i_s = -last.e / before.e, 2 * (last.t_s - before.t_s), gains.kp / gains.ki
+    ratio, limit = period_s / tau_i_s, max(2 * math.pi, SHORTEST_PERIOD)
+    swing = SlowNumbers(decay, period_s, ratio, limit)
+    if ratio < limit:
+        return SlowReading.NOT_SLOW, swing
+    zeta = zeta_of(ratio)
+    expected = math.exp(-math.pi * zeta / math.sqrt(1 - zeta**2))
+    swing = replace(swing, zeta=zeta, expected=expected)
+    if abs(decay - expected) > settings.unlike:
+        return SlowReading.NOT_ALIKE, swing
     if zeta >= settings.damped:
-        return SlowReading.DAMPED, SlowNumbers(swing, damping)
-    printed = slow_oscillation(swing.period_s, gains.kp / gains.ki)
+        return SlowReading.DAMPED, swing
+    printed = slow_oscillation(period_s, tau_i_s)
     # How Kc and tau_I share the factor on their product
     factor = 1 / zeta**2
     kc = 1.0 if locks.kc else factor if locks.tau_i else math.sqrt(factor)
     tau_i = 1.0 if locks.tau_i else factor if locks.kc else math.sqrt(factor)
-    return SlowReading.APPLIES, SlowNumbers(swing, damping, SlowCure(factor, printed, kc, tau_i))
+    cure = replace(swing, factor=factor, printed_factor=printed, kc_factor=kc, tau_i_factor=tau_i)
+    return SlowReading.APPLIES, cure
 
 
 def zeta_of(ratio: float) -> float:
