@@ -23,7 +23,7 @@ from retuner.adaptive.trial.prediction import Prediction
 from retuner.adaptive.trial.response_numbers import shapes, storable
 from retuner.adaptive.trial.trial_settings import TrialSettings
 from retuner.schedule.gains import PidGains
-from retuner.schedule.late_dataclass import dataclass
+from retuner.schedule.late_dataclass import dataclass, replace
 
 UPSETS = (Upset(setpoint=1.0), Upset(load_step=1.0))
 
@@ -76,33 +76,21 @@ def costs(
 
 
 @dataclass(frozen=True, slots=True)
-class RobustnessNumbers(Numbers):
-    """ms : least Ms of the tried set. ms_limit, ms_before : what it was held against. ms_promised : if it was.
+class PosteriorNumbers(Numbers):
+    """What the check weighed; -1 where unstable.
 
-    -1 where unstable.
+    ms : least Ms of the tried set. ms_limit, ms_before : what it was held against. ms_promised : if it was.
+    cost : least J, see the head of this file; with its limit, and as it was promised, if it was. None where less robust
+    decides before it, or J is not known.
     """
 
     ms: float
     ms_limit: float
     ms_before: float
     ms_promised: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class CostNumbers(Numbers):
-    """cost : least J, see the head of this file; with its limit, and as it was promised, if it was."""
-
-    cost: float
-    cost_limit: float
+    cost: float | None = None
+    cost_limit: float | None = None
     cost_promised: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class PosteriorNumbers(Numbers):
-    """What the check weighed. cost : None where less robust decides before it, or J is not known."""
-
-    robustness: RobustnessNumbers
-    cost: CostNumbers | None = None
 
 
 def against(
@@ -117,18 +105,18 @@ def against(
     promised = [one for one in (ms.best, ms.high) if math.isfinite(one)] if ms else []
     most = max([settings.harmless_ms, *promised])
     best = storable(ms.best) if ms else None
-    robustness = RobustnessNumbers(storable(found.ms_tried), most, storable(found.ms_old), best)
+    numbers = PosteriorNumbers(storable(found.ms_tried), most, storable(found.ms_old), best)
     if not robust and found.robuster and not found.ms_tried <= most:
         words = "the loop is unstable" if math.isinf(found.ms_tried) else f"Ms is at least {found.ms_tried:.2f}"
-        told = f"worse than predicted: on every plausible model {words}, limit {most:.2f}"
-        return told, PosteriorNumbers(robustness)
+        return f"worse than predicted: on every plausible model {words}, limit {most:.2f}", numbers
     # J of the new set over the old one as promised, on the best model; 0 where it is not known
     said = _mean_ratio(
         (prediction.setpoint.iae.best, prediction.load_step.iae.best),
         (prediction.setpoint_before.iae.best, prediction.load_before.iae.best),
     )
     limit = settings.iae_slack * max(said, 1.0)
-    cost = CostNumbers(found.slower, limit, said or None) if found.slower else None
+    if found.slower:
+        numbers = replace(numbers, cost=found.slower, cost_limit=limit, cost_promised=said or None)
     swung = prediction.decay_seen is not None and prediction.decay_seen > settings.harmless_decay
     told = ""
     if not (swung or found.ms_old > settings.harmless_ms or found.slower <= limit):
@@ -136,7 +124,7 @@ def against(
             f"worse than predicted: IAE at least {found.slower:.2f} times that with the previous gains on every "
             f"plausible model (limit {limit:.2f}); the previous gains have Ms at most {found.ms_old:.2f}"
         )
-    return told, PosteriorNumbers(robustness, cost)
+    return told, numbers
 
 
 def in_favour(found: PosteriorCheck, settings: TrialSettings) -> str:
