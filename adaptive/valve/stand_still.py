@@ -43,47 +43,31 @@ STEPS_OF_A_PROCESS = 1
 
 @dataclass(frozen=True, slots=True)
 class StandStillSettings:
-    """Settings.
+    """Settings, each with its meaning and the range in which it makes sense."""
 
-    leg_error : mean error of a leg as a share of pv's range; 0.01 to 0.1, default 0.02. leg_sigmas : and in standard
-        deviations of its mean; default 3. drift : how far pv may drift in a leg, share of its range; default 0.15.
-    travel : share of co's range from which a leg counts; 0.1 to 0.4, default 0.2.
-    idle : sum of the legs' travel in co's range from which pv stands; 0.6 to 2, default 1. legs : how many; default 2.
-    dwell : longest leg in units of tau_I; 3 to 30, default 10.
-    slip_travel : co's travel before a slip that agrees, share of its range; 0.05 to 0.3, default 0.1.
-    remainder : what the steps may leave in standard deviations of the noise; default 3. explained : or the share of
-        pv's variance that they must explain; default 0.93.
-    likelier : by how much a linear explanation must be the likelier one (Schwarz's criterion, both at the price of a
-        step for each of their loads) for the plateaus not to count; 25 to 200, default 100: load steps bought at
-        setpoint changes explain a stuck valve as well, at up to 77 in favour of the fiction.
-    quick : T of the slips in units of tau_I up to which no loop makes them; 0.5 to 1, default 0.75 (a load's triangle
-        in a fast loop was seen to leave 0.87).
-    silent : units of tau_I for which a setpoint step is not answered by a stuck valve; default 8. answered : share of
-        the step that counts as an answer; default 0.3. pushed : share of its range that co travels meanwhile, the kick
-        left out; default 0.4. step_sigmas : smallest setpoint step, in standard deviations; default 5.
-    sure : confidence that slips faster than the loop could be give to stiction; default 0.8.
-    dead_travel, dead_dwell : travel and dwell of the one leg in which pv does not answer at all; default 0.9 and 20.
-    """
-
-    leg_error: float = 0.02
-    leg_sigmas: float = 3.0
-    drift: float = 0.15
-    travel: float = 0.2
-    idle: float = 1.0
-    legs: int = 2
-    dwell: float = 10.0
-    slip_travel: float = 0.1
-    remainder: float = 3.0
-    explained: float = 0.93
+    leg_error: float = 0.02  # mean error of a leg as a share of pv's range, 0.01 to 0.1
+    leg_sigmas: float = 3.0  # and in standard deviations of its mean
+    drift: float = 0.15  # how far pv may drift in a leg, share of its range
+    travel: float = 0.2  # share of co's range from which a leg counts, 0.1 to 0.4
+    idle: float = 1.0  # sum of the legs' travel in co's range from which pv stands, 0.6 to 2
+    legs: int = 2  # how many legs that takes
+    dwell: float = 10.0  # longest leg in units of tau_I, 3 to 30
+    slip_travel: float = 0.1  # co's travel before a slip that agrees, share of its range, 0.05 to 0.3
+    remainder: float = 3.0  # what the steps may leave in standard deviations of the noise
+    explained: float = 0.93  # or the share of pv's variance that they must explain
+    # by how much a linear explanation must be the likelier one (Schwarz's criterion, both at the price of a step for
+    # each of their loads) for the plateaus not to count, 25 to 200: load steps bought at setpoint changes explain a
+    # stuck valve as well, at up to 77 in favour of the fiction
     likelier: float = 100.0
+    # T of the slips in units of tau_I up to which no loop makes them, 0.5 to 1 (a triangle in a fast loop left 0.87)
     quick: float = 0.75
-    silent: float = 8.0
-    answered: float = 0.3
-    pushed: float = 0.4
-    step_sigmas: float = 5.0
-    sure: float = 0.8
-    dead_travel: float = 0.9
-    dead_dwell: float = 20.0
+    silent: float = 8.0  # units of tau_I for which a setpoint step is not answered by a stuck valve
+    answered: float = 0.3  # share of the step that counts as an answer
+    pushed: float = 0.4  # share of its range that co travels meanwhile, the kick left out
+    step_sigmas: float = 5.0  # smallest setpoint step, in standard deviations
+    sure: float = 0.8  # confidence that slips faster than the loop could be give to stiction
+    dead_travel: float = 0.9  # travel of the one leg in which pv does not answer at all
+    dead_dwell: float = 20.0  # and its dwell
 
 
 @dataclass(frozen=True, slots=True)

@@ -154,15 +154,15 @@ def valleys(valves: Sequence[StuckValve], left: FloatArray) -> list[int]:
     for i in np.argsort(left, kind="stable").tolist():
         if len(found) == VALLEYS or not math.isfinite(left[i]):
             break
-        if not any(_beside(valves[i], valves[other]) for other in found):
+        a = valves[i]
+        if not any(
+            abs(math.log(a.stick / b.stick)) < VALLEY_WIDTH
+            and abs(a.jump / a.stick - b.jump / b.stick) < APART_JUMPS
+            and a.family == b.family
+            for b in (valves[other] for other in found)
+        ):
             found.append(i)
     return found
-
-
-def _beside(a: StuckValve, b: StuckValve) -> bool:
-    """Whether two valves are of one valley."""
-    close = abs(math.log(a.stick / b.stick)) < VALLEY_WIDTH and abs(a.jump / a.stick - b.jump / b.stick) < APART_JUMPS
-    return close and a.family == b.family
 
 
 def _near(valve: StuckValve) -> Iterator[StuckValve]:
