@@ -30,7 +30,7 @@ from retuner.schedule.plain_values import plain_values
 #
 # Structures are compared by n ln(rms^2) + unknowns ln(n) (Schwarz 1978), n the number of independent samples in
 # what the plain PI law leaves, and never below the rounding of co. A filter time is the one unknown in which the
-# law is not linear: a coarse grid, then Gauss-Newton steps from its best (law_regression.columns with `at`).
+# law is not linear: a coarse grid, then Gauss-Newton steps from its best (regression.columns with `at`).
 
 SIGNIFICANT = 3.0  # standard deviations from which a gain is there
 WORTH = 10.0  # gain in the criterion that a richer structure must bring
@@ -68,13 +68,12 @@ def usable_increments(window: Window, co_min: float | None, co_max: float | None
     return np.asarray(inside[1:] & inside[:-1] & before, dtype=np.bool_)
 
 
-def best_structure(window: Window, usable: BoolArray, largest_lag: int) -> Regression:
-    """The best structure: lag and equation first, then filter and derivative, then what of P and I is needed."""
-    return _best_structure(window.content, usable.tobytes(), largest_lag)
-
-
 @lru_cache(maxsize=16)  # a record is asked for its settings, and then for rougher ones
-def _best_structure(content: tuple[tuple[bytes, ...], float], made: bytes, largest_lag: int) -> Regression:
+def best_structure(content: tuple[tuple[bytes, ...], float], made: bytes, largest_lag: int) -> Regression:
+    """The best structure: lag and equation first, then filter and derivative, then what of P and I is needed.
+
+    content : of the window. made : which increments the law made, as bytes.
+    """
     window, usable = Window.holding(content), np.frombuffer(made, dtype=np.bool_)
     lags = [by_increments(window, Structure(lag=lag), usable, sure=False) for lag in range(largest_lag + 1)]
     chosen = by_increments(window, min(lags, key=lambda f: _size(f, usable)).structure, usable)
@@ -292,7 +291,7 @@ def settings_in_force(
         if quality is not None and quality.compression > settings.compression_limit:
             times = f"{quality.compression:.0f} times"
             return _refused(f"{name} was compressed {times} by its recorder: its movements are lost")
-    best = best_structure(window, usable, settings.largest_lag)
+    best = best_structure(window.content, usable.tobytes(), settings.largest_lag)
     # Settings, or the sentence that says why not
     percent = f"{max(best.explained, 0.0):.1%}"
     if best.explained < settings.explained_limit:

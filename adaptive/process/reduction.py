@@ -207,10 +207,18 @@ def _parts(process: LinearProcess, leads: Leads) -> _Parts:
     steps: list[str] = []
     lags = [lag for lag in process.lags_s if lag > 0]
     for c1, c2 in process.quadratics:
-        pair = _lags_of_pair(c1, c2)
-        lags += [lag for lag in pair if lag > 0]
-        if c1 * c1 < 4 * c2:
+        root, pair = c1 * c1 - 4 * c2, (c1 / 2, c1 / 2)
+        if root >= 0:  # two real lags
+            larger = (c1 + math.sqrt(root)) / 2
+            pair = larger, c2 / larger if larger else 0.0
+        elif (damping := c1 / (2 * math.sqrt(c2))) < SMALLEST_DAMPING:
+            raise ValueError(
+                f"poles 1 + {c1:g} s + {c2:g} s^2 oscillate with a zeta of {damping:.2g}, below {SMALLEST_DAMPING:g}: "
+                "lags cannot stand for a resonance; damp it or filter it out first"
+            )
+        else:
             steps.append(f"complex poles 1 + {c1:g} s + {c2:g} s^2: two lags of {pair[0]:g} s")
+        lags += [lag for lag in pair if lag > 0]
     theta, kept = process.theta_s, []
     for lead in sorted((x for x in process.leads_s if x > 0), reverse=True):
         if leads == Leads.SUBTRACT or (leads == Leads.AUTO and lead <= theta):
@@ -228,21 +236,6 @@ def _parts(process: LinearProcess, leads: Leads) -> _Parts:
             "integrators: more zeros than poles; add the missing lags (sensor, actuator)"
         )
     return _Parts(process.k, ordered, kept, theta + inverse, tuple(steps))
-
-
-def _lags_of_pair(c1: float, c2: float) -> tuple[float, float]:
-    """Two lags for 1 + c1 s + c2 s^2: its own where they are real, else two of c1/2."""
-    root = c1 * c1 - 4 * c2
-    if root >= 0:
-        larger = (c1 + math.sqrt(root)) / 2
-        return larger, c2 / larger if larger else 0.0
-    damping = c1 / (2 * math.sqrt(c2))
-    if damping < SMALLEST_DAMPING:
-        raise ValueError(
-            f"poles 1 + {c1:g} s + {c2:g} s^2 oscillate with a zeta of {damping:.2g}, below {SMALLEST_DAMPING:g}: lags "
-            "cannot stand for a resonance; damp it or filter it out first"
-        )
-    return c1 / 2, c1 / 2
 
 
 def _iterated(parts: _Parts, order: int, guess_s: float) -> _Half:

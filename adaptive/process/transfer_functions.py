@@ -43,20 +43,14 @@ def from_roots(zeros: Roots, poles: Roots, gain: float, theta_s: float = 0.0) ->
     k = gain * float(np.real(np.prod(-z) / np.prod(-moving)))
     lags = sorted((-1 / float(p.real) for p in moving if p.imag == 0), reverse=True)
     pairs = [(max(-2 * float(p.real), 0.0) / abs(p) ** 2, 1 / abs(p) ** 2) for p in moving if p.imag > 0]
-    integrators = len(p) - len(moving)
-    return LinearProcess(k, tuple(lags), tuple(_leads(z)), theta_s, integrators, tuple(pairs))
-
-
-def _leads(zeros: npt.NDArray[np.complex128]) -> list[float]:
-    """Numerator time constants; a nearly real pair is a double one."""
-    leads = [-1 / float(z.real) for z in zeros if z.imag == 0]
-    for z in zeros[zeros.imag > 0]:
-        if abs(z.real) < REAL_DAMPING * abs(z):
+    leads = [-1 / float(one.real) for one in z if one.imag == 0]
+    for one in z[z.imag > 0]:  # a nearly real pair is a double one
+        if abs(one.real) < REAL_DAMPING * abs(one):
             raise ValueError(
-                f"complex zeros at {_shown(z)} and its conjugate: the models have real numerator time constants only"
+                f"complex zeros at {_shown(one)} and its conjugate: the models have real numerator time constants only"
             )
-        leads += [-float(z.real) / abs(z) ** 2] * 2
-    return leads
+        leads += [-float(one.real) / abs(one) ** 2] * 2
+    return LinearProcess(k, tuple(lags), tuple(leads), theta_s, len(p) - len(moving), tuple(pairs))
 
 
 def _shown(root: complex) -> str:

@@ -144,23 +144,19 @@ def in_motion(
     entered = [t for t in alone.load_times_s if all(abs(t - at_s) > near_s for at_s in changes)]
     rows = np.searchsorted(stretch.t_s, entered) - 1
     linear = tuple(sorted({int(row) for row in rows if 0 < row < len(stretch) - 2}))
+    # a lag beside the first, out of the dead time
+    halved = (centre[0], centre[1] + math.log1p(-SECOND_LAG), centre[2], centre[1] + math.log(SECOND_LAG))
+    second = replace(form, shapes=(*form.shapes, CurveShape.CONSTANT), centre=halved)
     found = []
     for loads in sorted({joint.loads[0], linear}, key=len):
         one = _fitted(replace(joint, loads=(loads,)), form)
-        found += [one, _fitted(replace(joint, loads=(loads,)), *_with_second_lag(one))]
+        start = np.insert(one.z, form.felt_place.start, 0.0)
+        found += [one, _fitted(replace(joint, loads=(loads,)), second, start)]
     best = [min((f for f in found if f.type is t), key=lambda f: f.evidence) for t in _STARTS]
     return tuple(sorted(best, key=lambda one: one.evidence + len(one.form.shapes) * math.log(len(stretch))))
 
 
 _STARTS = (ProcessType.FOPDT, ProcessType.SOPDT)
-
-
-def _with_second_lag(one: InMotion) -> tuple[CurveForm, FloatArray]:
-    """A lag beside the first, out of the dead time; its start."""
-    b, theta, tau = one.form.centre
-    centre = (b, theta + math.log1p(-SECOND_LAG), tau, theta + math.log(SECOND_LAG))
-    shapes = (*one.form.shapes, CurveShape.CONSTANT)
-    return replace(one.form, shapes=shapes, centre=centre), np.insert(one.z, one.form.felt_place.start, 0.0)
 
 
 def _fitted(joint: Joint, form: CurveForm, start: FloatArray | None = None) -> InMotion:
