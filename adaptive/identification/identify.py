@@ -410,15 +410,15 @@ def left_open(
     short = plain.theta_s
     if short < FEWEST_SAMPLES_IN_THETA * sample_time_s:
         wanted_s = short / WANTED_SAMPLES_IN_THETA
-        way = "A setpoint step would bound it."
+        way = "A setpoint step would bound it"
         if wanted_s > MOST_FASTER * sample_time_s:
             digit = 10.0 ** math.floor(math.log10(wanted_s))
-            way = f"Export at {math.floor(wanted_s / digit) * digit:g} s or faster."
+            way = f"Export at {math.floor(wanted_s / digit) * digit:g} s or faster"
         return f"the dead time (about {short:.1g} s) is shorter than the {sample_time_s:.3g} s logging interval. {way}"
     if short > settings.theta_share * span_s:
         return (
             f"the dead time (about {short:.2g} s) is {100 * short / span_s:.0f} % of the record, and no event is "
-            "recorded long enough. Record longer."
+            "recorded long enough. Record longer"
         )
     gain_std = max(log.gain_uncertainty(sample_time_s), gain_spread(around, sample_time_s))
     if gain_std > settings.gain_std_limit:

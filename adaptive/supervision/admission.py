@@ -63,7 +63,10 @@ class Ground(StrEnum):
         "a cascade or a ramp moves the setpoint: at {moving_share:.0%} of the samples (limit {limit_share:.0%}), "
         "movements: {moves:.0f} (limit {limit:.0f})"
     )
-    SATURATED = "the controller output was at a limit for {limited_share:.0%} of the response (limit {limit:.0%})"
+    SATURATED = (
+        "the controller output was at a limit for {limited_share:.0%} of the response (the model is updated below "
+        "{limit:.0%})"
+    )
     CO_FROZEN = "co does not move: no information for the model"
     PV_FROZEN = "pv does not move: no information for the model"
     LOW_EXCITATION = (

@@ -201,6 +201,13 @@ def test_an_unlikely_model_counts_for_as_much_as_it_is_likely() -> None:
         assert rollback(E.STOPPED, SetsThatRan(old, tried, swings=0.1), known, TrialSettings()).stays is stays
 
 
+def test_where_an_unlikely_model_speaks_against_the_set_that_stays_the_words_say_why_it_does() -> None:
+    known = StillAllowed((PROCESS, LinearProcess(0.3, (10.0,), (), 14.0)), weights=(1.0, 0.05))
+    back = rollback(E.WORSE, SetsThatRan(PidGains(1.0, 0.2), SETS["right"], swings=0.1), known, TrialSettings())
+    assert back.stays
+    assert "trial gains Ms at most 4.64, previous gains Ms at most 3.98; by how likely each is" in back.reason
+
+
 @pytest.mark.parametrize(("weight", "back"), [(0.02, True), (0.5, False)])
 def test_a_door_is_closed_by_models_that_are_likely(weight: float, back: bool) -> None:
     """One model of a hundred that calls the set before unstable kept it out, however unlikely it was."""
