@@ -159,10 +159,12 @@ def half_wave_shape(x: FloatArray, band: float) -> HalfWaveShape | None:
     if len(waves) < FEWEST_HALF_WAVES:
         return None
     power = np.sum(waves * waves, axis=1)
-    sine, triangle, relay = (_misfit(waves, power, shapes) for shapes in (_SINE, _TRIANGLES, _RELAYS))
-    mse = [float(np.mean(np.min(m, axis=1) / power)) + SMALLEST_MISFIT for m in (sine, triangle, relay)]
+    # the sum of squares that each unit shape leaves of each half wave, its height free
+    heights = [waves @ shapes.T for shapes in (_SINE, _TRIANGLES, _RELAYS)]
+    left = [np.maximum(power[:, None] - of * of, 0.0) for of in heights]
+    mse = [float(np.mean(np.min(m, axis=1) / power)) + SMALLEST_MISFIT for m in left]
     best = min(mse[1], mse[2]) ** 0.5
-    apex = np.abs(_APEX[np.argmin(triangle, axis=1)] - 0.5)
+    apex = np.abs(_APEX[np.argmin(left[1], axis=1)] - 0.5)
     index = mse[0] / (mse[0] + mse[1])
     return HalfWaveShape(index, (mse[0] ** 0.5 - best) / (mse[0] ** 0.5 + best), median(apex))
 
@@ -180,12 +182,6 @@ def _waves(x: FloatArray, at: FloatArray) -> FloatArray:
     waves[:, [0, -1]] = 0.0
     waves = waves * np.sign(np.sum(waves, axis=1, keepdims=True))
     return np.asarray(waves[np.sum(waves * waves, axis=1) > 0], dtype=np.float64)
-
-
-def _misfit(waves: FloatArray, power: FloatArray, shapes: FloatArray) -> FloatArray:
-    """Sum of squares that each unit shape leaves of each half wave, its height free; shape (m, number of shapes)."""
-    heights = waves @ shapes.T
-    return np.asarray(np.maximum(power[:, None] - heights * heights, 0.0), dtype=np.float64)
 
 
 def _unit(shapes: FloatArray) -> FloatArray:

@@ -341,17 +341,14 @@ FEWEST_INCREMENTS = 40  # increments needed: two jumps in a twentieth
 
 def jump_share(pv: FloatArray, co: FloatArray) -> float | None:
     """Jump share of pv over that of co, -1 to 1, shapes (n,); None for short or constant signals."""
-    own = [_in_largest(x) for x in (pv, co)]
-    return None if own[0] is None or own[1] is None else own[0] - own[1]
-
-
-def _in_largest(x: FloatArray) -> float | None:
-    """Share of the travel in the largest increments."""
-    steps = np.sort(np.abs(np.diff(x)))
-    travel = float(np.sum(steps))
-    if len(steps) < FEWEST_INCREMENTS or travel <= 0:
-        return None
-    return float(np.sum(steps[len(steps) - round(LARGEST * len(steps)) :])) / travel
+    shares = []
+    for x in (pv, co):
+        steps = np.sort(np.abs(np.diff(x)))
+        travel = float(np.sum(steps))
+        if len(steps) < FEWEST_INCREMENTS or travel <= 0:
+            return None
+        shares.append(float(np.sum(steps[len(steps) - round(LARGEST * len(steps)) :])) / travel)
+    return shares[0] - shares[1]
 
 
 def flat_share(pv: FloatArray, co: FloatArray, width: int) -> float | None:

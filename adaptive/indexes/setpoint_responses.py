@@ -107,15 +107,12 @@ def idle_index(pv: FloatArray, co: FloatArray, direction: int, width: int) -> fl
 
     Source: Hagglund (1999), Control Engineering Practice 7, 1505-1511.
     """
-    d_pv, d_co = (_increments(x, width) for x in (pv, co))
-    sign = np.sign(d_pv * d_co) * direction
-    counted = sign[(d_pv != 0) & (d_co != 0)]
+    moves = []
+    for x in (pv, co):  # increments of the smoothed signal; those within the noise are zero
+        smooth = running_mean(x, width)
+        step = smooth[width:] - smooth[:-width]
+        band = NOISE_BAND * noise_sigma(x) * (2.0 / width) ** 0.5
+        moves.append(np.where(np.abs(step) > band, step, 0.0))
+    d_pv, d_co = moves
+    counted = (np.sign(d_pv * d_co) * direction)[(d_pv != 0) & (d_co != 0)]
     return float(np.mean(counted)) if counted.size >= FEWEST_INCREMENTS else None
-
-
-def _increments(x: FloatArray, width: int) -> FloatArray:
-    """Increments of the smoothed signal over width samples; those within the noise are zero."""
-    smooth = running_mean(x, width)
-    step = smooth[width:] - smooth[:-width]
-    band = NOISE_BAND * noise_sigma(x) * (2.0 / width) ** 0.5
-    return np.where(np.abs(step) > band, step, 0.0)
