@@ -11,8 +11,8 @@ A loop that loads move all the time is never at rest, and one step shows its loa
 bump goes to and fro about the old setpoint, at times that are not even, and the whole of it is fitted as one record
 (identification/by_setpoint.py).
 
-A bump is announced where `_is_due`, and begins where `_begins_or_is_put_off`; both ask whether it would teach anything
-(loop_bumps.py). The planner moves nothing itself: it hands out the setpoint that is to be sent. It believes only what
+A bump is announced by `_announced_if_due`, and begun by `_begins_or_is_put_off`; both ask whether it would teach
+anything (loop_bumps.py). The planner moves nothing itself: it hands out the setpoint to be sent. It believes only what
 comes back in the samples. A setpoint that is neither the old one nor the bump's is a person's or another loop's: it
 stays, and the bump is over. Whatever else ends a bump puts the old setpoint back.
 """
@@ -194,8 +194,8 @@ class BumpPlanner:
                 self.evidence(sample.t_s)
             if self._quiet_s(sample) < self.settings.after_h * SECONDS_PER_HOUR:
                 return None
-            if self._is_due(sample, around):
-                return self._announced(sample, around)
+            if (news := self._announced_if_due(sample, around)) is not None:
+                return news
             # Tell once that a bump of the size that is allowed would teach nothing
             bands, least = self.size / around.band, self.settings.least_bands
             if self._told_small or not around.wanted or bands >= least:
@@ -232,13 +232,6 @@ class BumpPlanner:
         self._sent_s = t_s
         return asked
 
-    def _is_due(self, sample: LoopSample, around: LoopAround) -> bool:
-        """Whether a bump may be announced now, by its budgets and by how the loop stands."""
-        s, t_s = self.settings, sample.t_s
-        lately = sum(1 for made in self.made if t_s - made < HOURS * SECONDS_PER_HOUR)
-        left = len(self.made) < s.most and lately < s.most_per_day
-        return left and self._is_free(sample, around) and self._aim(sample.sp, around) is not None
-
     def _is_free(self, sample: LoopSample, around: LoopAround) -> bool:
         large = self.size >= self.settings.least_bands * around.band
         near = abs(sample.sp - sample.pv) <= max(CALM * self.size, around.band)
@@ -258,9 +251,13 @@ class BumpPlanner:
             return None
         return next((to for to in sides if around.low <= to <= around.high), None)
 
-    def _announced(self, sample: LoopSample, around: LoopAround) -> BumpNews:
-        to = self._aim(sample.sp, around)
-        assert to is not None
+    def _announced_if_due(self, sample: LoopSample, around: LoopAround) -> BumpNews | None:
+        """The announcement of a bump, where its budgets and how the loop stands allow one now."""
+        s, to = self.settings, self._aim(sample.sp, around)
+        lately = sum(1 for made in self.made if sample.t_s - made < HOURS * SECONDS_PER_HOUR)
+        left = len(self.made) < s.most and lately < s.most_per_day
+        if to is None or not left or not self._is_free(sample, around):
+            return None
         self._before, self._from, self._to = sample.sp, sample.sp, to
         self._holds = HOLDS if self.restless else ()
         way = "until the loop is at rest, and back"
@@ -269,7 +266,7 @@ class BumpPlanner:
                 f"and {2 * sample.sp - to:g} in turn, {len(HOLDS)} times in all, and back, because loads move this loop"
             )
         reason = (
-            f"{around.wanted}: in {self.settings.announce_s:.0f} s the setpoint goes from {self._before:g} to {to:g} "
+            f"{around.wanted}: in {s.announce_s:.0f} s the setpoint goes from {self._before:g} to {to:g} "
             f"{way}; to postpone it, move the setpoint or take the loop to manual"
         )
         return self._enter(BumpEvent.DUE, BumpPhase.ANNOUNCED, sample.t_s, reason)
