@@ -232,26 +232,20 @@ def _told(
     x, y = equation
     if not len(y):  # no move is left that the law made: one that says nothing
         x, y = np.zeros((1, len(names))), np.zeros(1)
-    r = y - x @ values
-    std = _stds(x, r) if sure else np.full(len(names), np.inf)
+    r, std = y - x @ values, np.full(len(names), np.inf)
+    if sure:  # from what is left in BLOCKS stretches: a remainder has a colour
+        scale = np.linalg.norm(x, axis=0)
+        there = scale > 0
+        xs = x[:, there] / scale[there]
+        inverse = np.linalg.pinv(xs.T @ xs)
+        blocks = min(BLOCKS, len(r))
+        each, longer = divmod(len(r), blocks)
+        scores = np.add.reduceat(xs * r[:, None], [i * each + min(i, longer) for i in range(blocks)], axis=0)
+        spread = scores.T @ scores * blocks / max(blocks - xs.shape[1], 1)
+        std[there] = np.sqrt(np.maximum(np.diag(inverse @ spread @ inverse), 0.0)) / scale[there]
     power = float(np.mean(y * y))
     rms = float(np.sqrt(np.mean(r * r)))
     rho = float(r[1:] @ r[:-1]) / float(r @ r) if rms > 0 else 0.0
     gains, spread_of = (dict(zip(names, numbers.tolist(), strict=True)) for numbers in (values, std))
     explained = 1 - rms * rms / power if power > 0 else 0.0
-    return Regression(structure, gains, spread_of, per_sample[0], per_sample[1], rms, rho, explained, levels)
-
-
-def _stds(x: FloatArray, r: FloatArray) -> FloatArray:
-    """Standard deviations of the values, from what is left in BLOCKS stretches: a remainder has a colour."""
-    scale = np.linalg.norm(x, axis=0)
-    there = scale > 0
-    xs = x[:, there] / scale[there]
-    inverse = np.linalg.pinv(xs.T @ xs)
-    blocks = min(BLOCKS, len(r))
-    each, longer = divmod(len(r), blocks)
-    scores = np.add.reduceat(xs * r[:, None], [i * each + min(i, longer) for i in range(blocks)], axis=0)
-    spread = scores.T @ scores * blocks / max(blocks - xs.shape[1], 1)
-    std = np.full(x.shape[1], np.inf)
-    std[there] = np.sqrt(np.maximum(np.diag(inverse @ spread @ inverse), 0.0)) / scale[there]
-    return std
+    return Regression(structure, gains, spread_of, *per_sample, rms, rho, explained, levels)

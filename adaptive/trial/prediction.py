@@ -136,22 +136,13 @@ class Prediction:
     @classmethod
     def from_dict(cls, body: Mapping[str, Any]) -> "Prediction":
         """The numbers from their plain form."""
-        setpoint, load, setpoint_before, load_before = (
-            Expected.from_dict(body[name]) for name in ("setpoint", "load", "setpoint_before", "load_before")
-        )
-        seen, ms = body["decay_seen"], body["ms"]
-        return cls(
-            setpoint,
-            load,
-            setpoint_before,
-            load_before,
-            int(body["models"]),
-            None if seen is None else float(seen),
-            None if ms is None else Spread.from_list(ms),
-            float(body.get("wander", 0.0)),
-            float(body.get("moved", 0.0)),
-            math.inf if (furthest := body.get("furthest")) is None else float(furthest),
-        )
+        keys = ("setpoint", "load", "setpoint_before", "load_before")
+        setpoint, load, setpoint_before, load_before = (Expected.from_dict(body[key]) for key in keys)
+        seen, ms, furthest = body["decay_seen"], body["ms"], body.get("furthest")
+        told = None if seen is None else float(seen), None if ms is None else Spread.from_list(ms)
+        moved = float(body.get("wander", 0.0)), float(body.get("moved", 0.0))
+        farthest = math.inf if furthest is None else float(furthest)
+        return cls(setpoint, load, setpoint_before, load_before, int(body["models"]), *told, *moved, farthest)
 
 
 def predict(
@@ -196,20 +187,11 @@ def predict_without_model(seen: Response, old: PidGains, new: PidGains) -> Predi
     overshoot, damping, before = swing([peak.e for peak in seen.peaks], seen.band)
     decay = min(before, MOST_DECAY)
     length, left_open = seen.t_end_s - seen.t_start_s, Spread(math.inf, 0.0, math.inf)
-
-    def expected(iae: Spread) -> Expected:
-        return Expected(
-            Spread(overshoot, min(overshoot, 0.0), max(overshoot, 0.0)),
-            Spread(damping, min(damping, 0.0), max(damping, 0.0)),
-            Spread(decay, 0.0, decay),
-            iae,
-            left_open,
-            Spread(length, 0.0, math.inf),
-        )
-
+    first, second = (Spread(one, min(one, 0.0), max(one, 0.0)) for one in (overshoot, damping))
+    setpoint = Expected(first, second, Spread(decay, 0.0, decay), left_open, left_open, Spread(length, 0.0, math.inf))
     least = [1 / abs(gains.ki) if gains.ki else math.inf for gains in (new, old)]
-    load, load_before = (expected(Spread(one, one, SWINGS * one)) for one in least)
-    return Prediction(expected(left_open), load, expected(left_open), load_before, 0, decay_seen(seen))
+    load, load_before = (replace(setpoint, iae=Spread(one, one, SWINGS * one)) for one in least)
+    return Prediction(setpoint, load, setpoint, load_before, 0, decay_seen(seen))
 
 
 def _load(shapes: Sequence[Sequence[ResponseNumbers]]) -> Expected:

@@ -100,7 +100,11 @@ def valve_believed(window: Window, sign: int, fits: Fits, settings: FitSettings)
     for share, (family, jumps) in product(BANDS, JUMP_SHARES.items()):
         band = share * record.co_range
         valves += [StuckValve(family, band, jump * share * record.co_range, at) for jump, at in product(jumps, STARTS)]
-    tried = [*_by_nodes(record, sign, valves, fits.free), *_by_processes(valves, fits.free[:OWN])]
+    tried = list(_by_nodes(record, sign, valves, fits.free))
+    for candidate in fits.free[:OWN]:  # the best of each valley with that process, its loads left out
+        alone, x = bare(candidate.fit.misfit, candidate.fit.misfit.type), candidate.fit.x
+        best = valleys(valves, np.array(valve_costs(refine(alone, x), valves)))[:OWN_VALLEYS]
+        tried += [fine(refined(alone, valves[i], x)) for i in best]
     closest = sorted(tried, key=lambda s: s.fit.criterion)[:POLISHED]
     at = min((settled(s) for s in closest), key=lambda s: s.fit.criterion, default=None)
     searched = _searched(window, sign, at, settings) if at is not None else None
@@ -155,12 +159,3 @@ def _by_nodes(record: Record, sign: int, valves: list[StuckValve], linear: list[
     for i in valleys(valves, np.min(left, axis=1)):
         type_, x = nodes.started(int(node[i]), float(gain[i, node[i]]))
         yield with_lag(fine(refined(bare(linear[0].fit.misfit, type_), valves[i], x)))
-
-
-def _by_processes(valves: list[StuckValve], linear: list[Candidate]) -> Iterator[Sticking]:
-    """The best of each valley with the process of a linear explanation, its loads left out."""
-    for candidate in linear:
-        alone = bare(candidate.fit.misfit, candidate.fit.misfit.type)
-        costs = np.array(valve_costs(refine(alone, candidate.fit.x), valves))
-        for i in valleys(valves, costs)[:OWN_VALLEYS]:
-            yield fine(refined(alone, valves[i], candidate.fit.x))
