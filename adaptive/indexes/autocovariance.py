@@ -162,20 +162,8 @@ def decay_ratio(x: FloatArray) -> float | None:
 SUPERVISION_PERIODS = 50.0  # supervision time in periods (Hagglund 1995)
 
 
-@dataclass(frozen=True, slots=True)
-class IaeDetection:
-    """Outcome of the detector.
-
-    loads : half waves whose IAE exceeds that of half a sine wave. count : largest value of the forgetting count x: over
-    10 the loop oscillates (Hagglund 1995).
-    """
-
-    loads: int
-    count: float
-
-
-def iae_detection(t_s: FloatArray, e: FloatArray, amplitude: float, w_rad_s: float) -> IaeDetection:
-    """Run the detector over a record.
+def iae_detection(t_s: FloatArray, e: FloatArray, amplitude: float, w_rad_s: float) -> tuple[int, float]:
+    """How many half waves have an IAE over that of half a sine wave, and the largest value of the forgetting count x.
 
     t_s, e : time in seconds and control error sp - pv, shape (n,).
     amplitude : smallest amplitude of an oscillation that matters, pv units, more than 0.
@@ -198,4 +186,4 @@ def iae_detection(t_s: FloatArray, e: FloatArray, amplitude: float, w_rad_s: flo
     for waited_s in np.diff(times, prepend=times[:1]):
         count = count * math.exp(-waited_s / memory_s) + 1
         largest = max(largest, count)
-    return IaeDetection(len(times), largest)
+    return len(times), largest

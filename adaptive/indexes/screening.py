@@ -319,8 +319,8 @@ def _detection(window: Window, gains: PidGains | None, period_s: float | None) -
         w = 2 * math.pi * gains.ki / gains.kp
     if not w or amplitude <= 0:
         return {}
-    seen = iae_detection(window.t_s, e, amplitude, w)
-    return {"iae_loads": float(seen.loads), "iae_count": seen.count}
+    loads, count = iae_detection(window.t_s, e, amplitude, w)
+    return {"iae_loads": float(loads), "iae_count": count}
 
 
 # Does pv move in jumps while co moves steadily, or stand still while co moves? Both are a sticking valve's doing.
