@@ -49,11 +49,11 @@ def boundaries_of(
         if max(steps) == 1:
             # of a cell that is met in a corner only, the two between
             cells = [regions.region_at((own[0], far[1])), regions.region_at((far[0], own[1]))] if sum(steps) > 1 else ()
-            beside = tuple(DiagonalNeighbour(table.gains_of(cell), best.get(cell)) for cell in cells)
+            between = tuple(DiagonalNeighbour(table.gains_of(cell), best.get(cell)) for cell in cells)
             reaches = [1.0 if interpolated else _reach(table, region, other, k) for k, step in enumerate(steps) if step]
             known = table.gains_of(other), tuple(models.get(other, ()))
-            found.append(NeighbourBoundary(regions.names[other], *known, max(reaches), interpolated, beside))
-    return tuple(sorted(found, key=lambda boundary: len(boundary.beside)))
+            found.append(NeighbourBoundary(regions.names[other], *known, max(reaches), interpolated, between))
+    return tuple(sorted(found, key=lambda boundary: len(boundary.cells_between)))
 
 
 def _reach(table: GainTable, region: int, other: int, axis: int) -> float:
@@ -116,10 +116,10 @@ def _pairs(boundary: NeighbourBoundary, own: Sequence[Plausible]) -> list[tuple[
 
 
 def _between(pair: tuple[ProcessModel, ProcessModel], boundary: NeighbourBoundary, share: float) -> ProcessModel | None:
-    if boundary.beside:
+    if boundary.cells_between:
         # The process inside a square of four cells, on its diagonal; between the two corners where a side is unknown
         here, there = pair
-        one, two = (cell.model for cell in boundary.beside)
+        one, two = (cell.model for cell in boundary.cells_between)
         if one is not None and two is not None:
             sides = between_models(here, one, share), between_models(two, there, share)
             if sides[0] is not None and sides[1] is not None:
@@ -139,9 +139,9 @@ def mixed(gains: PidGains, boundary: NeighbourBoundary, share: float) -> PidGain
     if not boundary.interpolated:
         return gains
     shares = [(gains, 1 - share), (boundary.gains, share)]
-    if boundary.beside:
+    if boundary.cells_between:
         shares = [(gains, (1 - share) ** 2), (boundary.gains, share**2)]
-        shares += [(cell.gains, share * (1 - share)) for cell in boundary.beside]
+        shares += [(cell.gains, share * (1 - share)) for cell in boundary.cells_between]
     return PidGains(*(sum(w * getattr(one, name) for one, w in shares) for name in GAIN_NAMES))
 
 

@@ -92,9 +92,9 @@ class MsOnModels:
         pairs = [(self.ms(i, old), self.ms(i, new)) for i in range(len(self))]
         if not pairs or any(after > before for before, after in pairs):
             return False
-        lost = [i for i, (before, after) in enumerate(pairs) if math.isinf(before) and math.isinf(after)]
-        if lost:
-            return less_of_everything(old, new) or all(math.isfinite(self.ms(i, goal)) for i in lost)
+        unstable = [i for i, (before, after) in enumerate(pairs) if math.isinf(before) and math.isinf(after)]
+        if unstable:
+            return less_of_everything(old, new) or all(math.isfinite(self.ms(i, goal)) for i in unstable)
         return pairs[0][1] < pairs[0][0] and max(after for _, after in pairs) < max(before for before, _ in pairs)
 
 

@@ -89,8 +89,8 @@ class NeighbourBoundary:
     name : of the neighbour. gains : its set. models : of its process, best first, empty where not known.
     reach : largest weight of the neighbour's process (0 own centre, 1 its centre) at which the gains still take part.
     interpolated : the gains are mixed with the neighbour's by that weight; otherwise they run alone up to it.
-    beside : on a map of two axes, for a neighbour that meets this region in a corner only: the two cells between; the
-        weight is then that along both axes.
+    cells_between : on a map of two axes, for a neighbour that meets this region in a corner only; the weight is then
+        that along both axes.
 
     Raises ValueError: reach is outside 0 to 1.
     """
@@ -100,7 +100,7 @@ class NeighbourBoundary:
     models: tuple[Plausible, ...]
     reach: float
     interpolated: bool = False
-    beside: tuple[DiagonalNeighbour, ...] = ()
+    cells_between: tuple[DiagonalNeighbour, ...] = ()
 
     def __post_init__(self) -> None:
         if not 0 <= self.reach <= 1:

@@ -18,8 +18,8 @@ widened by what its records scatter beyond what they claim, chi2/(2 (n - 1)) whe
 a map of two axes a boundary runs through all rows or columns, and so does the proposal.
 
 Whether a region's process suits one set is asked by proposed_boundaries.py; a person takes its proposal up with
-`retuner approve`. Boundaries are laid out anew from records alone by schedule_choice/boundaries_of_one_variable.py and
-boundaries_of_two_variables.py, for `retuner schedule`.
+`retuner approve`. No boundary is moved on line: schedule_choice/boundaries_of_one_variable.py and
+boundaries_of_two_variables.py lay all of them out anew from records, for `retuner schedule`.
 
 Pure: region models in, advice out; nothing is changed.
 """

@@ -192,7 +192,7 @@ class TrialSupervisor:
 
     def concerned(self, cause: TrialEvent) -> tuple[int, ...]:
         """Regions with an undecided change to which a cause that ends trials has not been put yet."""
-        return tuple(region for region in self.undecided if not self._decided(region, cause))
+        return tuple(region for region in self.undecided if not self._was_put(region, cause))
 
     def abort(self, cause: TrialEvent, t_s: float) -> tuple[int, ...]:
         """A cause that ends undecided trials; the regions where it is decided anew what is to run."""
@@ -223,7 +223,7 @@ class TrialSupervisor:
             elsewhere = not blended and self.phase(at) is P.AWAY and region not in {at, None}  # its set does not run
             of_loop = None if elsewhere else cause
             found = of_loop or self._region_cause(at, sample, region, band, blended=blended)
-            if found is not None and not self._decided(at, found) and self._stay_or_roll_back(at, found, sample.t_s):
+            if found is not None and not self._was_put(at, found) and self._stay_or_roll_back(at, found, sample.t_s):
                 ended[at] = found
         return ended
 
@@ -287,7 +287,7 @@ class TrialSupervisor:
         if trial.phase in {P.COOLING, P.HELD} and t_s >= trial.until_s:
             self._move(region, E.COOLED if trial.phase == P.COOLING else E.HOLD_OVER, t_s)
 
-    def _decided(self, region: int, cause: TrialEvent) -> bool:
+    def _was_put(self, region: int, cause: TrialEvent) -> bool:
         """Whether a cause goes on that has been put to the region already, or asks for no more than the end has."""
         trial = self.of(region)
         stays = trial.back is not None and trial.back.stays

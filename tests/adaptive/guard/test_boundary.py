@@ -259,7 +259,7 @@ def test_a_corner_of_hard_cells_is_met_by_the_new_gains_alone() -> None:
     models = models_of((1.0, 2.0, 2.0, 4.0))
     table = table_of(models, Lookup.HARD)
     boundaries = boundaries_of(table, 0, {i: models[i] for i in (1, 2, 3)})
-    assert [(b.name, len(b.beside)) for b in boundaries] == [("b", 0), ("c", 0), ("d", 2)]
+    assert [(b.name, len(b.cells_between)) for b in boundaries] == [("b", 0), ("c", 0), ("d", 2)]
     assert [b.reach for b in boundaries] == pytest.approx([0.6] * 3)
     corner = replace(MODEL, k=MODEL.k * 4.0**0.6, theta_s=MODEL.theta_s + DT_S / 2)
     ms, passed = at_boundary(boundaries[2], models[0], table.gains[0], table.gains[0], 1.8, DT_S)
@@ -271,7 +271,7 @@ def test_what_is_not_known_beside_is_taken_between_the_corners() -> None:
     models = models_of((1.0, 2.0, 2.0, 4.0))
     table = table_of(models)
     corner = boundaries_of(table, 0, {3: models[3]})[-1]
-    assert [cell.model for cell in corner.beside] == [None, None]
+    assert [cell.model for cell in corner.cells_between] == [None, None]
     ms, _ = at_boundary(corner, models[0], table.gains[0], table.gains[0], 5.0, DT_S)
     assert ms == pytest.approx(max(truth(models, s, s) for s in (0.25, 0.5, 0.75)), rel=1e-9)
 
@@ -280,4 +280,4 @@ def test_a_row_of_regions_has_no_corners() -> None:
     row = GainTable(
         "loop", Regions.along(("a", "b", "c"), Axis("sp", "", 0.0, (10.0, 20.0), 30.0)), (tuned(MODEL),) * 3
     )
-    assert [(b.name, b.beside) for b in boundaries_of(row, 1, {})] == [("a", ()), ("c", ())]
+    assert [(b.name, b.cells_between) for b in boundaries_of(row, 1, {})] == [("a", ()), ("c", ())]
