@@ -40,13 +40,12 @@ from retuner.adaptive.decision_numbers import Numbers
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.identification.robust_simc import RobustSettings, robust_simc_on
 from retuner.adaptive.loop.margins import EDGE, sensitivity_peak
-from retuner.adaptive.trial.batch_responses import ClosedLoop, Upset, traces
-from retuner.adaptive.trial.response_numbers import iae_of, storable
+from retuner.adaptive.trial.batch_responses import ClosedLoop
+from retuner.adaptive.trial.response_numbers import iaes, mean_ratio, storable
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, field, replace
 
 MOST_MODELS = 16  # Models, the most likely ones, over which a cost is expected
-UPSETS = (Upset(setpoint=1.0), Upset(load_step=1.0))
 FARTHEST = 50.0  # Where an exponential is 0 for every purpose here
 
 
@@ -142,8 +141,7 @@ def outlooks(
     rules = [(m.linear(), robust_simc_on(m, (), 0.0, robust, sets[0].gains).tuning.gains) for m in sampled]
     pairs = [(process, choosable.gains) for choosable in sets for process in processes]
     loops = [ClosedLoop(process, gains, loop.b, loop.tau_f_s) for process, gains in (*pairs, *rules)]
-    each = zip(loops, traces(loops, UPSETS), strict=True)
-    iae = [[iae_of(trace, of.gains.ki) for trace in row] for of, row in each]
+    iae = iaes(loops)
     of_rule = iae[-n:]
     rows = [[_j(iae[i * n + k], of_rule[k]) for k in range(n)] for i in range(len(sets))]
     peaks = [[sensitivity_peak(process, one.gains, loop.tau_f_s) for process in processes] for one in sets]
@@ -174,11 +172,7 @@ def _mean(values: Sequence[float], weights: Sequence[float]) -> float:
 
 def _j(now: Sequence[float], rule: Sequence[float]) -> float:
     """Mean of the ratios; infinite where a loop never comes to rest, 1 where the rule's does not."""
-    if not all(map(math.isfinite, now)):
-        return math.inf
-    if not all(map(math.isfinite, rule)) or not all(rule):
-        return 1.0
-    return sum(a / b for a, b in zip(now, rule, strict=True)) / len(now)
+    return (mean_ratio(now, rule) or 1.0) if all(map(math.isfinite, now)) else math.inf
 
 
 def cost(j: float, ms: float, settings: ChoiceSettings) -> float:

@@ -18,14 +18,12 @@ from collections.abc import Sequence
 from retuner.adaptive.decision_numbers import Numbers
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
-from retuner.adaptive.trial.batch_responses import ClosedLoop, Upset
+from retuner.adaptive.trial.batch_responses import ClosedLoop
 from retuner.adaptive.trial.prediction import Prediction
-from retuner.adaptive.trial.response_numbers import shapes, storable
+from retuner.adaptive.trial.response_numbers import iaes, mean_ratio, storable
 from retuner.adaptive.trial.trial_settings import TrialSettings
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, replace
-
-UPSETS = (Upset(setpoint=1.0), Upset(load_step=1.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,8 +69,8 @@ def costs(
     """J of the new set over the old one on each model, see the head of this file; 0 where it is not known."""
     processes = [found.model.seen_by_controller(sample_time_s).linear() for found in allowed]
     loops = [ClosedLoop(process, gains, b, tau_f_s) for gains in (new, old) for process in processes]
-    iae, n = [[shape.iae for shape in row] for row in shapes(loops, UPSETS)], len(processes)
-    return [_mean_ratio(now, then) for now, then in zip(iae[:n], iae[n:], strict=True)]
+    iae, n = iaes(loops), len(processes)
+    return [mean_ratio(now, then) for now, then in zip(iae[:n], iae[n:], strict=True)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +108,7 @@ def against(
         words = "the loop is unstable" if math.isinf(found.ms_tried) else f"Ms is at least {found.ms_tried:.2f}"
         return f"worse than predicted: on every plausible model {words}, limit {most:.2f}", numbers
     # J of the new set over the old one as promised, on the best model; 0 where it is not known
-    said = _mean_ratio(
+    said = mean_ratio(
         (prediction.setpoint.iae.best, prediction.load_step.iae.best),
         (prediction.setpoint_before.iae.best, prediction.load_before.iae.best),
     )
@@ -132,10 +130,3 @@ def in_favour(found: PosteriorCheck, settings: TrialSettings) -> str:
     if not found.settled or found.ms_most > settings.harmless_ms:
         return ""
     return f"robust according to the models: Ms at most {found.ms_most:.2f} on every plausible one"
-
-
-def _mean_ratio(now: Sequence[float], then: Sequence[float]) -> float:
-    """Mean of the ratios of IAE; 0 where a loop never comes to rest."""
-    if not all(map(math.isfinite, (*now, *then))) or not all(then):
-        return 0.0
-    return sum(a / b for a, b in zip(now, then, strict=True)) / len(now)

@@ -100,6 +100,22 @@ def shapes(loops: Sequence[ClosedLoop], upsets: Sequence[Upset]) -> list[list[Re
     return [[shape_of(trace, loop.gains.ki) for trace in row] for loop, row in rows]
 
 
+UPSETS = (Upset(setpoint=1.0), Upset(load_step=1.0))
+
+
+def iaes(loops: Sequence[ClosedLoop]) -> list[list[float]]:
+    """IAE of every loop after a step of the setpoint, and after one of the load: [loop][upset]."""
+    rows = zip(loops, traces(loops, UPSETS), strict=True)
+    return [[iae_of(trace, loop.gains.ki) for trace in row] for loop, row in rows]
+
+
+def mean_ratio(now: Sequence[float], then: Sequence[float]) -> float:
+    """Mean of the ratios of IAE; 0 where a loop never comes to rest."""
+    if not all(map(math.isfinite, (*now, *then))) or not all(then):
+        return 0.0
+    return sum(a / b for a, b in zip(now, then, strict=True)) / len(now)
+
+
 def storable(value: float) -> float:
     """A number that JSON can hold: -1 stands for infinite, "unstable" or "never comes to rest"."""
     return value if math.isfinite(value) else -1.0

@@ -9,7 +9,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from retuner import Action, Decision, LinearProcess, PidController, PidGains, ProcessModel, ProcessType, RetunerSettings
-from retuner.adaptive.choice.expected_cost import UPSETS
 from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.fit.structure import parameters_of
@@ -25,7 +24,7 @@ from retuner.adaptive.rules.rule import ControllerKind
 from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.supervision.findings import no_more_action, propose
 from retuner.adaptive.trial.batch_responses import ClosedLoop
-from retuner.adaptive.trial.response_numbers import shapes
+from retuner.adaptive.trial.response_numbers import UPSETS, shapes
 
 S = RetunerSettings(0.5, 100.0)
 FIRST = ProcessModel(ProcessType.FOPDT, 2.0, 20.0, 0.0, 4.0)
