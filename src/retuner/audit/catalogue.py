@@ -118,27 +118,23 @@ def catalogue(files: Sequence[Path], form: RecordForm, tag_pattern: str = "") ->
                 refused.append((path, f"{path}: neither its columns nor its name show a loop's pv or co"))
     alone: dict[str, list[Path]] = {}
     apart: dict[str, list[Path]] = {}
+    signals: dict[str, dict[str, str]] = {}
     for path, one in held.items():
         for tag, roles in one.signals.items():
+            signals.setdefault(tag, {}).update(roles)
             if tag or roles.keys() < WHOLE:
                 apart.setdefault(tag, []).append(path)
             else:
-                alone.setdefault(_by_name(path, tag_pattern), []).append(path)
+                match = re.search(tag_pattern, path.name) if tag_pattern else DATED.match(path.stem)
+                name = path.stem if match is None else match.group(1 if match.groups() else 0)
+                alone.setdefault(name, []).append(path)
     shared = _shared(apart, held, refused)
     twice = alone.keys() & {tag for task in shared for tag in task.tags}
     said = "its name says loop {}, which other files hold by their columns; rename it, or give --tag-pattern"
     refused += [(path, f"{path}: {said.format(tag)}") for tag in sorted(twice) for path in alone[tag]]
     tasks = [Task((tag,), tuple(paths), separate=True) for tag, paths in alone.items() if tag not in twice]
-    return Catalogue((*tasks, *shared), tuple(refused), *_joined(held.values()))
-
-
-def _joined(held: Iterable[_HeldFile]) -> tuple[dict[str, dict[str, str]], tuple[str, ...]]:
-    """Names by tag and role in all files, and names that are no signal's."""
-    signals: dict[str, dict[str, str]] = {}
-    for one in held:
-        for tag, roles in one.signals.items():
-            signals.setdefault(tag, {}).update(roles)
-    return signals, tuple(dict.fromkeys(name for one in held for name in one.others))
+    others = tuple(dict.fromkeys(name for one in held.values() for name in one.others))
+    return Catalogue((*tasks, *shared), tuple(refused), signals, others)
 
 
 def _shared(
@@ -209,10 +205,3 @@ def _of_columns(path: Path, names: Sequence[str], form: RecordForm) -> _HeldFile
         return _HeldFile(signals, tuple(name for name in others if name not in form.columns.values()))
     by_name, _ = _roles([path.stem], form)
     return _HeldFile(by_name, () if by_name else others)
-
-
-def _by_name(path: Path, pattern: str) -> str:
-    match = re.search(pattern, path.name) if pattern else DATED.match(path.stem)
-    if match is None:
-        return path.stem
-    return match.group(1) if match.groups() else match.group(0)

@@ -8,7 +8,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -46,7 +46,7 @@ DRAWN = 1_200  # points of a trend that are drawn: twice as many as a screen has
 DRAWN_OF_A_STRETCH = 600
 FEWEST_PARTS = 2  # Days or weeks of a loop that are a course
 HALF = 0.5  # no confidence is told of what is no likelier than not
-Row = dict[str, object]
+Row = dict[str, Any]
 Trend = dict[str, list[float]]  # Times and signals of a picture
 
 
@@ -73,8 +73,7 @@ def audit_task(task: Task, settings: AuditSettings) -> list[Row]:
         broken: list[RecordingError] = []
         row = _row(task.tags[0], _each_by_itself(task, settings, broken), settings, common_clock=False)
         told = [f"left out: {error}" for error in broken]
-        assumed = row.get("assumed")
-        return [row if "failed" in row else row | {"assumed": [*assumed, *told] if isinstance(assumed, list) else told}]
+        return [row if "failed" in row else row | {"assumed": [*row["assumed"], *told]}]
     if task.in_pieces:
         return [_row(tag, loop_in_pieces(task.files, settings.form, tag, MOST_ROWS), settings) for tag in task.tags]
     try:
@@ -82,14 +81,11 @@ def audit_task(task: Task, settings: AuditSettings) -> list[Row]:
     except ANY_FAULT as error:
         return [failed(tag, told_fault(error)) for tag in task.tags]
     missing = RecordingError(f"{task.files[0]}: no usable values")
-    return [_row(tag, _the_only(read.get(tag, missing)), settings) for tag in task.tags]
-
-
-def _the_only(read: LoopRecord | RecordingError) -> Iterator[LoopRecord]:
-    """A record, or its refusal when it is asked for."""
-    if isinstance(read, RecordingError):
-        raise read
-    yield read
+    found = {tag: read.get(tag, missing) for tag in task.tags}
+    return [
+        failed(tag, told_fault(one)) if isinstance(one, RecordingError) else _row(tag, iter([one]), settings)
+        for tag, one in found.items()
+    ]
 
 
 def _each_by_itself(task: Task, settings: AuditSettings, broken: list[RecordingError]) -> Iterator[LoopRecord]:
@@ -156,8 +152,7 @@ def _row(tag: str, read: Iterator[LoopRecord], settings: AuditSettings, *, commo
             "harmonic": max(harmonics, default=0.0),
             "sticks": sum(p.verdict.confidence for p in seen.parts if p.verdict.cause == Cause.STICTION)
             / max(len(seen.parts), 1),
-            "settings": _settings(cure),
-            "process": _process(cure, then),
+            **_cure_words(cure, then),
             "what_if": next(
                 (told for part in able if (told := of_diagnosis(part.window, part.found)) is not None), None
             ),
@@ -196,8 +191,9 @@ class _LoopRecords:
 
     def add(self, record: LoopRecord, settings: AuditSettings) -> None:
         """Screen a record and diagnose its telling stretches; without a setpoint nothing can be diagnosed."""
-        known = record.recording.sp is not None
-        window = record.recording.window() if known else _about_its_mean(record)
+        known, pv = record.recording.sp is not None, record.recording.pv
+        mean = np.full(len(pv), float(np.mean(pv)))  # stands in for a setpoint that is not recorded
+        window = record.recording.window() if known else Window(record.recording.t_s, mean, pv, record.recording.co)
         days = days_of(window, len(window.t_s)) if known else [window]
         worked = days if off_in(window).any() else [window]  # a controller that is off is judged by nothing
         screen = joined_screen([screen_loop(day, setpoint=known) for day in worked])
@@ -217,13 +213,21 @@ class _LoopRecords:
             told = found.diagnosis
             begin_s, end_s = float(stretch.t_s[0]) + later_s, float(stretch.t_s[-1]) + later_s
             seen = StretchVerdict(begin_s, end_s, told.cause, told.confidence, told.reason)
-            shown = {"file": Path(record.recording.source).name, **_stretch(stretch, seen, found)}
+            shown = {
+                "file": Path(record.recording.source).name,
+                **plain_values(seen, "begin_s end_s cause confidence reason"),
+                "evidence": {k: v for k, v in told.evidence.items() if math.isfinite(v)},
+                "trend": drawn(stretch, DRAWN_OF_A_STRETCH),
+            }
             self.parts.append(Part(seen, shown, found, _own_copy(stretch)))
         if settings.stretches and known:
             self.spread += [_own_copy(part) for part in spread_over(max(worked, key=lambda day: len(day.t_s)))]
         if screen.span_s >= max((one.span_s for one in self.screens), default=0.0):
-            # What is kept of a record to compare it with those of other loops. own_s : of a loop that is too strong
-            own_s = _own_period_s(self.parts)
+            # What is kept of a record to compare it with those of other loops. own_s : about the period with which a
+            # loop that is named too strong oscillates, four times its dead time
+            strong = (one.found.estimate for one in self.parts if one.found.diagnosis.cause in OWN_SWING)
+            models = (one.log.model() for one in strong if one is not None)
+            own_s = next((4 * (model.theta_s + model.tau2_s / 2) for model in models), None)
             t_s, error = window.t_s + (record.begin_s or 0.0), window.sp - window.pv
             swings = screen.period_s is not None and screen.swinging >= SWINGS
             track = swing_track(t_s, error, screen.period_s).to_dict() if swings and screen.period_s else None
@@ -234,21 +238,6 @@ class _LoopRecords:
         self.screens.append(screen)
         self.trends.append((later_s, drawn(window, DRAWN)))
         self.assumed |= dict.fromkeys(a.what for a in record.assumed)
-
-
-def _about_its_mean(record: LoopRecord) -> Window:
-    """A record without setpoint; the mean of pv stands in."""
-    known = record.recording
-    return Window(known.t_s, np.full(len(known.pv), float(np.mean(known.pv))), known.pv, known.co)
-
-
-def _own_period_s(parts: Sequence[Part]) -> float | None:
-    """About the period with which a loop that is named too strong oscillates: four times its dead time."""
-    for found in (part.found for part in parts):
-        if found.diagnosis.cause in OWN_SWING and found.estimate is not None:
-            model = found.estimate.log.model()
-            return 4 * (model.theta_s + model.tau2_s / 2)
-    return None
 
 
 def _course(seen: _LoopRecords) -> Row | None:
@@ -295,28 +284,18 @@ def _foreseen(cure: RecordDiagnosis, records: Sequence[Window]) -> Foreseen | No
     return foreseen(records, weighed_models(allowed), gains, cure.active)
 
 
-def _settings(cure: RecordDiagnosis | None) -> Row | None:
-    if cure is None or cure.settings is None:
-        return None
-    told = cure.settings.to_dict()
-    return {name: told[name] for name in ("gains", "form", "parallel", "margins")} | {
-        "first_step": cure.aim is not None
-    }
-
-
-def _process(cure: RecordDiagnosis | None, then: Foreseen | None) -> Row | None:
-    """The process that was identified, and what settings for it would have made of the record."""
-    if cure is None or cure.estimate is None:
-        return None
-    return {"model": cure.estimate.log.model().to_dict(), "foreseen": then.to_dict() if then is not None else None}
-
-
-def _stretch(window: Window, verdict: StretchVerdict, found: RecordDiagnosis) -> Row:
-    return {
-        **plain_values(verdict, "begin_s end_s cause confidence reason"),
-        "evidence": {k: v for k, v in found.diagnosis.evidence.items() if math.isfinite(v)},
-        "trend": drawn(window, DRAWN_OF_A_STRETCH),
-    }
+def _cure_words(cure: RecordDiagnosis | None, then: Foreseen | None) -> Row:
+    """Keys settings, and process: the one that was identified, and what settings for it would have made of the record;
+    each None where there is none.
+    """
+    settings = process = None
+    if cure is not None and cure.settings is not None:
+        told = cure.settings.to_dict()
+        settings = {name: told[name] for name in ("gains", "form", "parallel", "margins")}
+        settings["first_step"] = cure.aim is not None
+    if cure is not None and cure.estimate is not None:
+        process = {"model": cure.estimate.log.model().to_dict(), "foreseen": then.to_dict() if then else None}
+    return {"settings": settings, "process": process}
 
 
 def drawn(window: Window, points: int) -> Trend:

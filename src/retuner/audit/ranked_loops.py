@@ -14,7 +14,6 @@ from datetime import UTC, datetime
 from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
 
 from retuner.adaptive.audit.common_swing import CommonSwing, Swinging, common_swings, interactions
 from retuner.adaptive.audit.loop_screen import DAY_S
@@ -44,7 +43,6 @@ class PlantCourse:
 
     area: str = AREA
     _found: dict[tuple[str, float, str], list[dict[str, float]]] = field(default_factory=lambda: defaultdict(list))
-    _travel: dict[str, float] = field(default_factory=dict)
 
     def add(self, row: Row) -> None:
         """A loop's row, where it has a course. Its travel is told over its own mean: co has no unit that all share."""
@@ -83,6 +81,7 @@ NOT_LISTED = frozenset({"trend", "stretches", "what_if", "over_time", TRACKS})
 """What is large of a row: its pictures, and what only the comparison of loops needs."""
 SWUNG = frozenset({str(cause) for cause in (*TUNING_CAUSES, Cause.EXTERNAL, Cause.UNKNOWN, Cause.STICTION)})
 """Causes that a swing in step with a root's takes the place of."""
+OF_TUNING, OWN = (frozenset(map(str, some)) for some in (TUNING_CAUSES, OWN_SWING))
 ROOT_SURE = 0.9  # how sure the root of a coherent group is
 SMALL = 240  # points of a small picture
 MOST_FIRST = 10  # loops that the page tells first, with the reason
@@ -100,11 +99,21 @@ def ranked(rows: Iterable[Row], before: Sequence[Row] = ()) -> tuple[list[Row], 
     damped: list[Swinging] = []
     trends: dict[str, TrendTrack] = {}
     for row in rows:
-        swing, trend = _tracks(row)
-        damped += _damped(row)
+        # what other loops are compared with, as arrays, which ten thousand loops need: one that swings, one that is too
+        # strong by itself and whose oscillation dies away, and the trend, for the cascades
+        tag, screen, tracks = str(row["tag"]), row.get("screen") or {}, row.get(TRACKS) or {}
+        if tracks.get("damped") and row["cause"] in OWN:
+            track: SwingTrack | None = SwingTrack.of_dict(tracks["damped"])
+            damped.append(Swinging(tag, tracks["damped_s"], 0.0, own=True, track=track))
+        if screen.get("period_s") and screen["swinging"] >= SWINGS:
+            track = SwingTrack.of_dict(tracks["swing"]) if tracks.get("swing") else None
+            own = row["cause"] in OF_TUNING
+            swinging.append(
+                Swinging(tag, screen["period_s"], _number(row, "harmonic"), _number(row, "sticks"), own, track)
+            )
+        if tracks.get("trend"):
+            trends[tag] = TrendTrack.of_dict(tracks["trend"])
         listed.append({k: v for k, v in row.items() if k not in NOT_LISTED})
-        swinging += [swing] if swing is not None else []
-        trends |= {str(row["tag"]): trend} if trend is not None else {}
     # Loops that are others' records under another tag are told once, and are in no group
     found = twins(trends)
     by_tag = {str(row["tag"]): row for row in listed}
@@ -131,44 +140,20 @@ def ranked(rows: Iterable[Row], before: Sequence[Row] = ()) -> tuple[list[Row], 
     _from_the_root(listed, group_of)
     # The slave of a cascade comes before its master; of loops that swing against each other one is slowed down
     for row in listed:
-        sick = [tag for tag in (row["slaves"] if isinstance(row["slaves"], list) else []) if is_fault(by_tag[tag])]
+        sick = [tag for tag in row["slaves"] if is_fault(by_tag[tag])]
         if sick and is_fault(row):
             row["action"] = f"its slave {sick[0]} first, then {row['action']}"
             row["rank"] = 0.5 * _number(row, "rank")
-        if row["interaction"] and row["cause"] in {str(Cause.EXTERNAL), str(Cause.UNKNOWN)}:
-            others = row["swings_with"] if isinstance(row["swings_with"], list) else []
-            row["action"] = f"swings against {', '.join(map(str, others[:3]))}: slow one of them down"
-        elif row["interaction"] and row["cause"] in {str(cause) for cause in OWN_SWING}:
-            held = row["swings_with"]
-            against = ", ".join(map(str, held[:3])) if isinstance(held, list) else ""
-            row["reason"] = f"it and {against} act on each other: both oscillate after every upset. {row['reason']}"
-            row["action"], row["settings"] = f"swings against {against}: slow one of them down", None
+        if row["interaction"] and row["cause"] in {str(Cause.EXTERNAL), str(Cause.UNKNOWN), *OWN}:
+            against = ", ".join(row["swings_with"][:3])
+            row["action"] = f"swings against {against}: slow one of them down"
+            if row["cause"] in OWN:
+                row["reason"] = f"it and {against} act on each other: both oscillate after every upset. {row['reason']}"
+                row["settings"] = None
     listed.sort(key=lambda row: (-_number(row, "rank"), str(row["tag"])))
     for place, row in enumerate(listed, start=1):
         row["place"] = place
     return listed, groups
-
-
-def _tracks(row: Row) -> tuple[Swinging | None, TrendTrack | None]:
-    """A loop that swings, for the groups, and its trend, for the cascades; as arrays, which ten thousand loops need."""
-    held = row.get(TRACKS)
-    tracks: Mapping[str, dict[str, Any]] = held if isinstance(held, Mapping) else {}
-    trend = TrendTrack.of_dict(tracks["trend"]) if tracks.get("trend") else None
-    screen = row.get("screen")
-    if not isinstance(screen, Mapping) or not screen.get("period_s") or screen["swinging"] < SWINGS:
-        return None, trend
-    own = row["cause"] in {str(c) for c in TUNING_CAUSES}
-    track = SwingTrack.of_dict(tracks["swing"]) if tracks.get("swing") else None
-    swing = Swinging(str(row["tag"]), screen["period_s"], _number(row, "harmonic"), _number(row, "sticks"), own, track)
-    return swing, trend
-
-
-def _damped(row: Row) -> list[Swinging]:
-    """A loop that is too strong by itself, and whose oscillation dies away; none otherwise."""
-    held = row.get(TRACKS)
-    if not isinstance(held, Mapping) or not held.get("damped") or row["cause"] not in {str(c) for c in OWN_SWING}:
-        return []
-    return [Swinging(str(row["tag"]), held["damped_s"], 0.0, own=True, track=SwingTrack.of_dict(held["damped"]))]
 
 
 def _from_the_root(rows: Sequence[Row], group_of: Mapping[str, CommonSwing]) -> None:
@@ -202,8 +187,7 @@ def _from_the_root(rows: Sequence[Row], group_of: Mapping[str, CommonSwing]) -> 
 
 
 def _number(row: Row, name: str) -> float:
-    value = row.get(name)
-    return float(value) if isinstance(value, (int, float)) else 0.0
+    return float(row.get(name) or 0.0)
 
 
 def change(row: Row, earlier: Row | None) -> str:
@@ -217,19 +201,19 @@ def change(row: Row, earlier: Row | None) -> str:
     error, before = mean_error(row), mean_error(earlier)
     times = error / before if error is not None and before else 1.0
     moved = f"{'worse' if times > 1 else 'better'}: error {times:.2g} times" * (times > WORSE or times * WORSE < 1)
-    missing = " or ".join(when for one, when in ((earlier, "then"), (row, "now")) if not _diagnosed(one))
+    # a row says what a loop is where it is neither screened only, nor unreadable, nor another loop's record
+    open_still = (AuditAction.SCREENED, AGAIN)
+    missing = " or ".join(
+        when
+        for one, when in ((earlier, "then"), (row, "now"))
+        if "failed" in one or str(one.get("action", "")).startswith(open_still)
+    )
     if missing:
         return f"{moved}{', ' * bool(moved)}not diagnosed {missing}"
     now, then = is_fault(row), is_fault(earlier)
     if now != then:
         return f"{'worse' if now else 'better'}: was {earlier['cause']}"
     return moved or ("same" if row["cause"] == earlier["cause"] else f"was {earlier['cause']}")
-
-
-def _diagnosed(row: Row) -> bool:
-    """Whether a row says what a loop is: neither screened only, nor unreadable, nor another loop's record."""
-    action = str(row.get("action", ""))
-    return "failed" not in row and action != str(AuditAction.SCREENED) and not action.startswith(AGAIN)
 
 
 def write_joined(path: Path, found: Catalogue) -> None:
@@ -259,14 +243,15 @@ def summary(rows: Sequence[Row], refused: int) -> str:
     untold = len(rows) - worth - quiet - broken - screened - again
     kinds = ", ".join(f"{count} {kind}" for kind, count in visits.most_common())
     told = [f"{worth} of {len(rows)} loops deserve a visit{': ' * bool(kinds)}{kinds}"]
-    told += [f"{quiet} {'is' if quiet == 1 else 'are'} in order"] * bool(quiet)
-    told += [f"{untold} {'shows' if untold == 1 else 'show'} too little to judge; each says what would help"] * bool(
-        untold
-    )
-    told += [f"{screened} {'was' if screened == 1 else 'were'} screened only; nothing conspicuous"] * bool(screened)
-    told += [f"{again} {'is' if again == 1 else 'are'} another loop's record again"] * bool(again)
-    told += [f"{broken} could not be judged"] * bool(broken)
-    told += [f"{refused} {'file is' if refused == 1 else 'files are'} no record"] * bool(refused)
+    for count, one, many, what in (
+        (quiet, "is", "are", "in order"),
+        (untold, "shows", "show", "too little to judge; each says what would help"),
+        (screened, "was", "were", "screened only; nothing conspicuous"),
+        (again, "is", "are", "another loop's record again"),
+        (broken, "could", "could", "not be judged"),
+        (refused, "file is", "files are", "no record"),
+    ):
+        told += [f"{count} {one if count == 1 else many} {what}"] * bool(count)
     return ". ".join(told) + "."
 
 
@@ -351,8 +336,7 @@ def _script(value: object) -> str:
 
 def _for_the_page(row: Row, folder: Path) -> Row:
     """What the list shows of a loop; folder : of its file, from which the first have a picture."""
-    screen = row.get("screen")
-    period_s = screen.get("period_s") if isinstance(screen, Mapping) else None
+    screen = row.get("screen") or {}
     shown = ("place", "tag", "cause", "confidence", "action", "avoidable", "basis", "since", "change", "file")
     looked_at = _number(row, "looked_at")
     share = _number(row, "seen") / looked_at if looked_at and row.get("seen") else None
@@ -360,22 +344,19 @@ def _for_the_page(row: Row, folder: Path) -> Row:
     if is_fault(row) and _number(row, "place") <= MOST_FIRST:
         told |= {"why": row.get("reason", ""), "look": _to_look_at(folder / "loops" / str(row["file"]))}
     # The cause, or the condition of a record in which no loop is at work
-    screen = row.get("screen")
-    condition = screen.get("condition") if isinstance(screen, Mapping) else None
+    condition = screen.get("condition")
     known = row["cause"] != str(Cause.UNKNOWN) or row.get("confidence") is None
     told["cause"] = str(row["cause"] if known or condition not in {str(c) for c in FOR_CONDITION} else condition)
     told |= {"error": error} if (error := mean_error(row)) is not None else {}
     # share of co's travel that would go with the settings proposed
-    process = row.get("process")
-    found = process.get("foreseen") if isinstance(process, Mapping) and row.get("settings") else None
+    found = (row.get("process") or {}).get("foreseen") if row.get("settings") else None
     told |= {"calmer": calmer} if (calmer := float(found["calmer"]) if found else None) else {}
-    return {name: row.get(name) for name in shown} | {"period_s": period_s, "seen_share": share} | told
+    return {name: row.get(name) for name in shown} | {"period_s": screen.get("period_s"), "seen_share": share} | told
 
 
 def mean_error(row: Row) -> float | None:
     """The mean |sp - pv| of a loop in the unit of pv; None where it is not known."""
-    screen = row.get("screen")
-    a_day = screen.get("iae_per_day") if isinstance(screen, Mapping) else None
+    a_day = (row.get("screen") or {}).get("iae_per_day")
     return a_day / DAY_S if a_day is not None else None
 
 
@@ -396,8 +377,7 @@ def _write_parquet(path: Path, rows: Sequence[Row]) -> None:
         return
     columns: dict[str, list[object]] = {}
     for place, row in enumerate(rows):
-        screen = row.get("screen")
-        told = {f"screen_{k}": v for k, v in screen.items()} if isinstance(screen, Mapping) else {}
+        told = {f"screen_{k}": v for k, v in (row.get("screen") or {}).items()}
         told |= {k: v for k, v in row.items() if not isinstance(v, (Mapping, list))}
         for name in told.keys() - columns.keys():
             columns[name] = [None] * place

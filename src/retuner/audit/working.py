@@ -46,7 +46,14 @@ def on_this_machine(
         broken = yield from _until_broken(left, do, jobs)
         again += broken
     for task in again:
-        yield task, [row for tag in task.tags for row in _by_itself(replace(task, tags=(tag,)), do)]
+        rows = list[Row]()
+        for tag in task.tags:
+            with ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=_quiet) as pool:
+                try:
+                    rows += pool.submit(do, replace(task, tags=(tag,))).result()
+                except BrokenProcessPool:
+                    rows.append(failed(tag, "its process died twice, perhaps out of memory"))
+        yield task, rows
 
 
 def _until_broken(left: list[Task], do: Work, jobs: int) -> Generator[tuple[Task, list[Row]], None, list[Task]]:
@@ -67,14 +74,6 @@ def _until_broken(left: list[Task], do: Work, jobs: int) -> Generator[tuple[Task
             pool.shutdown(wait=False, cancel_futures=True)
             raise
     return []
-
-
-def _by_itself(task: Task, do: Work) -> list[Row]:
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=_quiet) as pool:
-        try:
-            return pool.submit(do, task).result()
-        except BrokenProcessPool:
-            return [failed(tag, "its process died twice, perhaps out of memory") for tag in task.tags]
 
 
 def _quiet() -> None:
@@ -153,17 +152,14 @@ def diagnosing(
     tasks: Sequence[Task], settings: AuditSettings, rows: Iterable[Row], done: Mapping[str, str], share: float
 ) -> Pass:
     """What comes then: the diagnosis of the share of the loops that the screening shows worst; parameters as above."""
-    asked = sorted(((_asked(row), str(row["tag"])) for row in rows), key=lambda one: (-one[0], one[1]))
+    asked = sorted(
+        ((float(row.get("asks") or 0.0), str(row["tag"])) for row in rows), key=lambda one: (-one[0], one[1])
+    )
     chosen = {tag for worth, tag in asked[: round(share * len(asked))] if worth > 0}
     some = [replace(task, tags=tuple(tag for tag in task.tags if tag in chosen)) for task in tasks]
     signed = {task: signature(task, settings) for task in some if task.tags}
     left = tuple(task for task in signed if any(done.get(tag) != signed[task] for tag in task.tags))
     return Pass(settings, left, signed)
-
-
-def _asked(row: Row) -> float:
-    asked = row.get("asks")
-    return float(asked) if isinstance(asked, (int, float)) else 0.0
 
 
 def expected(loops: int, stretches: int, share: float, jobs: int) -> str:

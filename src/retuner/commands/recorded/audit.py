@@ -2,17 +2,17 @@
 
 import re
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from retuner.audit.catalogue import Catalogue, Task, catalogue, files_of
+from retuner.audit.catalogue import Catalogue, catalogue, files_of
 from retuner.audit.loop_row import AuditSettings, Row, is_fault
 from retuner.audit.ranked_loops import mean_error, summary, write_joined, write_results
 from retuner.audit.result_store import ResultStore, rows_of
 from retuner.audit.working import Pass, diagnosing, expected, on_a_cluster, on_this_machine, processes, screening
 from retuner.commands.options import controller_units
-from retuner.commands.recorded.record_options import record_form
+from retuner.commands.recorded.recorded_loop import record_form
 from retuner.commands.signatures import AuditOptions
 from retuner.errors import UserError, user_input
 from retuner.report.console import screen_console
@@ -85,18 +85,17 @@ def _pass(some: Pass, tags: Sequence[str], options: AuditOptions, store: ResultS
     with Progress(*columns, console=screen_console(stderr=True), disable=hidden) as bar:
         shown = bar.add_task(what, total=len(tags), completed=done)
         try:
-            for task, rows in _done(some.tasks, some.settings, options):
+            todo, settings = some.tasks, some.settings
+            jobs = min(options.jobs or processes(), max(len(todo), 1))
+            cluster = options.scheduler
+            for task, rows in (
+                on_a_cluster(todo, settings, cluster) if cluster else on_this_machine(todo, settings, jobs)
+            ):
                 store.keep(rows, some.signed[task])
                 bar.advance(shown, len(task.tags))
         except KeyboardInterrupt:
             return True
     return False
-
-
-def _done(left: Sequence[Task], settings: AuditSettings, options: AuditOptions) -> Iterator[tuple[Task, list[Row]]]:
-    if options.scheduler:
-        return on_a_cluster(left, settings, options.scheduler)
-    return on_this_machine(left, settings, min(options.jobs or processes(), max(len(left), 1)))
 
 
 def _tell(rows: Sequence[Row], found: Catalogue, options: AuditOptions) -> None:
