@@ -24,11 +24,11 @@ UNUSABLE = 2  # exit status of a configuration that cannot be used: bad input
 def check(path: ConfigFile, as_json: Json = False) -> int:
     """Check a configuration: each error with file, line, key and limit; without errors, a summary."""
     from retuner.commands.run import foreseen
-    from retuner.config.loading import UnusableError, parse_session, plants_here, read_text, usable_here
+    from retuner.config.loading import UnusableError, parse_session, plants_here, read_text, with_signals
 
     try:
         text = read_text(path)
-        session = usable_here(parse_session(text), text)
+        session = with_signals(parse_session(text), text, bus=True)
         plants = plants_here(session, text)
     except UnusableError as unusable:
         if not as_json:
@@ -75,14 +75,13 @@ def described(config: "Config", model: "Sequence[str]", *, several: bool) -> lis
         plant = config.device.plant
         behind = f"plant {plant.kind}, seed {config.device.seed}" if plant is not None else "a real one"
         lines.append(f"device      {config.device.kind}, {behind}")
-        lines += [f"            {line}" for line in (*model, *_device_notes(config))]
+        lines += [f"            {line}" for line in (*model, *_foreign_notes(config))]
     if config.scenario is not None:
         lines.append(f"scenario    {config.scenario.duration_s:g} s, {len(config.scenario.steps)} steps")
     return [*lines, ""] if several else lines
 
 
-def _device_notes(config: "Config") -> "Iterator[str]":
-    """What a controller that is not ours cannot do, and how often it can be asked."""
+def _foreign_notes(config: "Config") -> "Iterator[str]":
     from retuner.config.described import advice_only, make_access
 
     foreign = config.foreign_device

@@ -87,17 +87,11 @@ class ScenarioConfig(Section):
         """Steps in order, inside the run, and a setpoint to start with."""
         for i, step in enumerate(self.steps):
             if i > 0 and step.at_s < self.steps[i - 1].at_s:
-                yield Problem(
-                    ("steps", i, "at_s"),
-                    f"= {step.at_s:g} s lies before the step above it at "
-                    f"{self.steps[i - 1].at_s:g} s; order the steps by time",
-                )
+                above = f"the step above it at {self.steps[i - 1].at_s:g} s; order the steps by time"
+                yield Problem(("steps", i, "at_s"), f"= {step.at_s:g} s lies before {above}")
             if step.at_s >= self.duration_s:
-                yield Problem(
-                    ("steps", i, "at_s"),
-                    f"= {step.at_s:g} s lies at or after the end of the run, "
-                    f"duration_s = {self.duration_s:g} s; make the run longer",
-                )
+                end = f"the end of the run, duration_s = {self.duration_s:g} s; make the run longer"
+                yield Problem(("steps", i, "at_s"), f"= {step.at_s:g} s lies at or after {end}")
         if not any(step.at_s == 0 and step.sp is not None for step in self.steps):
             yield Problem(("steps",), "give no setpoint to start with; add {at_s = 0.0, sp = ...}")
 

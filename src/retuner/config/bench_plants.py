@@ -1,7 +1,7 @@
 """The plants behind the virtual devices of a session, from its configuration; loops that name one `shared` have one."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -150,7 +150,7 @@ class Plants(Closes):
     """
 
     def __init__(self, configs: Sequence[Config], say: Callable[[str], None], speed: float | None = None) -> None:
-        self._configs, self._say, self._speed = configs, say, speed
+        self._configs = configs
         self._shared: dict[str, _Model] = {}
         self.plants: list[Plant] = []
         self.described: list[Sequence[str]] = []
@@ -167,7 +167,10 @@ class Plants(Closes):
                         name = plant.shared or f"\0{i}"
                         if name not in self._shared:
                             users = [one for one in configs if plant.shared and _shares(one, plant.shared)] or [config]
-                            self._shared[name] = _Model(users, self._say, self._wait_s(config))
+                            # how long a device waits for its model's step, s of the machine's time
+                            paced_s = config.loop.sample_time_s / speed if speed is not None else None
+                            wait_s = None if paced_s is None else max(WAIT_SAMPLES * paced_s, WAIT_FLOOR_S)
+                            self._shared[name] = _Model(users, say, wait_s)
                         self.plants.append(self._shared[name].port(config, plant))
                         self.described.append(self._shared[name].described)
                 except PlantFaultError as fault:
@@ -175,12 +178,6 @@ class Plants(Closes):
         except BaseException:
             self.close()
             raise
-
-    def _wait_s(self, config: Config) -> float | None:
-        """How long a device waits for its model's step, s of the machine's time."""
-        if self._speed is None:
-            return None
-        return max(WAIT_SAMPLES * config.loop.sample_time_s / self._speed, WAIT_FLOOR_S)
 
     @property
     def stopped(self) -> list[str]:
@@ -202,30 +199,26 @@ class Plants(Closes):
             if port and port.plant.fault:
                 fault = PlantFaultError(port.plant.fault.removesuffix(f"; {GOES_ON}"))
                 raise UnusablePlantError(i, config.loop.name, fault)
-        return [
-            [*told, *(_start(port, config, pv) if port else ())]
-            for told, port, config, pv in zip(self.described, ports, self._configs, first, strict=True)
-        ]
+        found = [list(told) for told in self.described]
+        for told, port, config, pv in zip(found, ports, self._configs, first, strict=True):
+            if port is None:
+                continue
+            # where a loop begins, and what is odd about it
+            loop, place = config.loop, port.settings
+            value = place.input_scale * place.start_co + place.input_offset
+            told.append(f"start: co {place.start_co:g} % is {value:g} at its input; pv {pv:.6g} {loop.pv_unit}")
+            if not loop.pv_min <= pv <= loop.pv_max:
+                ends = f"pv_min to pv_max ({loop.pv_min:g} to {loop.pv_max:g})"
+                told.append(f"!! pv is outside of {ends}: output_scale, or start values?")
+            elif abs(port.pv - pv) > AT_REST * (loop.pv_max - loop.pv_min) and not plant_of(config).loads:
+                moved = f"pv is {port.pv:.6g} after {SAMPLES_AT_REST * loop.sample_time_s:g} s of this co"
+                told.append(f"!! it is not at rest: {moved}; see input_scale, start_co_pct, settle_s")
+        return found
 
     def close(self) -> None:
         """End the processes."""
         for one in self._shared.values():
             one.close()
-
-
-def _start(port: PlantPort, config: Config, first: float) -> Iterator[str]:
-    """Where a loop begins, and what is odd about it."""
-    loop, place = config.loop, port.settings
-    low, high, dt_s = loop.pv_min, loop.pv_max, loop.sample_time_s
-    value = place.input_scale * place.start_co + place.input_offset
-    yield f"start: co {place.start_co:g} % is {value:g} at its input; pv {first:.6g} {loop.pv_unit}"
-    if not low <= first <= high:
-        yield f"!! pv is outside of pv_min to pv_max ({low:g} to {high:g}): output_scale, or start values?"
-    elif abs(port.pv - first) > AT_REST * (high - low) and not plant_of(config).loads:
-        yield (
-            f"!! it is not at rest: pv is {port.pv:.6g} after {SAMPLES_AT_REST * dt_s:g} s of this co; "
-            "see input_scale, start_co_pct, settle_s"
-        )
 
 
 def _shares(config: Config, name: str) -> bool:
@@ -328,15 +321,14 @@ def _names(plants: Sequence[ModelConfig]) -> tuple[list[str], list[str], list[fl
 
 
 def _loads(loads: Sequence[LoadConfig]) -> RecordedLoads | None:
-    return RecordedLoads([_load(i, one) for i, one in enumerate(loads)]) if loads else None
-
-
-def _load(place: int, load: LoadConfig) -> RecordedLoad:
-    columns = {**dict.fromkeys(("pv", "sp", "co"), load.column), **({"t": load.time} if load.time else {})}
-    try:
-        read = read_loop_record([Path(load.file)], RecordForm(columns=columns)).recording
-        t_s = np.asarray(read.t_s) - read.t_s[0]
-        return RecordedLoad(t_s, np.asarray(read.pv), load.scale, load.at == "output", load.repeat)
-    except (RecordingError, ValueError) as error:
-        told = str(error).replace("name it as in --columns sp=NAME", "give one of them as column")
-        raise PlantFaultError(f": {told}", "loads", str(place)) from None
+    found = []
+    for place, load in enumerate(loads):
+        columns = {**dict.fromkeys(("pv", "sp", "co"), load.column), **({"t": load.time} if load.time else {})}
+        try:
+            read = read_loop_record([Path(load.file)], RecordForm(columns=columns)).recording
+            t_s, pv = np.asarray(read.t_s) - read.t_s[0], np.asarray(read.pv)
+            found.append(RecordedLoad(t_s, pv, load.scale, load.at == "output", load.repeat))
+        except (RecordingError, ValueError) as error:
+            told = str(error).replace("name it as in --columns sp=NAME", "give one of them as column")
+            raise PlantFaultError(f": {told}", "loads", str(place)) from None
+    return RecordedLoads(found) if found else None

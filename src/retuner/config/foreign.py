@@ -268,7 +268,14 @@ class ForeignConfig(Section):
             raise CrossCheckError([Problem(("profile",), f'= "{name}" is no profile; there is {known}')])
         if ready["kind"] != given.get("kind"):
             raise CrossCheckError([Problem(("profile",), f'= "{name}" is for kind = "{ready["kind"]}"')])
-        return merged(_without_rivals(ready, given.get("gains")), given)
+        # the profile without its gains of an action for which another number is given
+        gains = given.get("gains")
+        own = set(gains) if isinstance(gains, Mapping) else set[str]()
+        rivals = {name for quantities in ACTIONS.values() if own & {*quantities} for name in quantities} - own
+        without = _with_lacking(gains).get("without", ()) if isinstance(gains, Mapping) else ()
+        left_out = rivals | {str(one) for one in without}
+        kept = {one: value for one, value in ready["gains"].items() if one not in left_out}
+        return merged({**ready, "gains": kept}, given)
 
 
 class DbcDeviceConfig(ForeignConfig):
@@ -346,14 +353,6 @@ def _common(
         "co_span": co_span,
         "stops": tuple(one.states() for one in device.stop),
     }
-
-
-def _without_rivals(ready: Mapping[str, Any], gains: object) -> dict[str, Any]:
-    """The profile without its gains of an action for which another number is given."""
-    own = set(gains) if isinstance(gains, Mapping) else set[str]()
-    rivals = {name for quantities in ACTIONS.values() if own & {*quantities} for name in quantities} - own
-    lacking = {str(name) for name in _with_lacking(gains).get("without", ())} if isinstance(gains, Mapping) else set()
-    return {**ready, "gains": {name: value for name, value in ready["gains"].items() if name not in rivals | lacking}}
 
 
 def _with_lacking(gains: Mapping[str, Any]) -> dict[str, Any]:

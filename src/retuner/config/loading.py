@@ -4,7 +4,7 @@ import difflib
 import json
 import re
 import tomllib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path as FilePath
 from typing import Any, NamedTuple, get_args
 
@@ -71,9 +71,13 @@ def problems_of(errors: list[ErrorDetails], document: Mapping[str, object]) -> l
             path = (*path, part)
         for problem in _told(error, path, document):
             messages = found.setdefault(problem.path, [])
-            if problem.message not in messages:
-                messages.append(problem.message)
-    return [Problem(path, _joined(messages)) for path, messages in found.items()]
+            messages += [problem.message] if problem.message not in messages else []
+    joined = []
+    for path, (first, *rest) in found.items():  # the first finding about a value, then what else it might have been
+        head, bracket, meaning = first.partition(MEANING)
+        others = [message.partition(" must be ")[2].partition(MEANING)[0] or message for message in rest]
+        joined.append(Problem(path, " or ".join([head, *others]) + bracket + meaning))
+    return joined
 
 
 def key_name(path: Path) -> str:
@@ -82,14 +86,6 @@ def key_name(path: Path) -> str:
     for part in path:
         name += f"[{part + 1}]" if isinstance(part, int) else f".{part}" if name else part
     return name
-
-
-def _joined(messages: list[str]) -> str:
-    """Findings about one value: the first, then what else it might have been."""
-    first, *rest = messages
-    head, bracket, meaning = first.partition(MEANING)
-    alternatives = [message.partition(" must be ")[2].partition(MEANING)[0] or message for message in rest]
-    return " or ".join([head, *alternatives]) + bracket + meaning
 
 
 def _told(error: ErrorDetails, path: Path, document: Mapping[str, object]) -> Iterator[Problem]:
@@ -125,8 +121,13 @@ def _value(value: object) -> str:
 
 
 def _meaning(path: Path, document: Mapping[str, object]) -> str:
-    """What a setting is for, in brackets; empty for what is no declared setting."""
-    field = _field(path, document)
+    """What a setting is for, in brackets, of an element of an array what the array is for; empty for what is no
+    declared setting.
+    """
+    while path and isinstance(path[-1], int):
+        path = path[:-1]
+    fields = [named for model in _models(path[:-1], document) for named in model.model_fields.items()] if path else []
+    field = next((field for name, field in fields if path[-1] in _read_as(name, field)), None)
     if field is None:
         return ""
     unit = (field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}).get("unit")
@@ -137,17 +138,6 @@ def _read_as(name: str, field: FieldInfo) -> Sequence[object]:
     """The names under which a setting is read: its own, and former ones."""
     also = field.validation_alias
     return also.choices if isinstance(also, AliasChoices) else (field.alias or name,)
-
-
-def _field(path: Path, document: Mapping[str, object]) -> FieldInfo | None:
-    """The declaration of a setting; for an element of an array that of the array."""
-    while path and isinstance(path[-1], int):
-        path = path[:-1]
-    for model in _models(path[:-1], document) if path else []:
-        for name, field in model.model_fields.items():
-            if path[-1] in _read_as(name, field):
-                return field
-    return None
 
 
 def _models(path: Path, document: Mapping[str, object]) -> list[type[Section]]:
@@ -373,20 +363,18 @@ def parse_config(text: str) -> Config:
     return session.loops[session.place(None)]
 
 
-def with_signals(session: SessionConfig, text: str) -> SessionConfig:
+def with_signals(session: SessionConfig, text: str, *, bus: bool = False) -> SessionConfig:
     """The configuration, once the signals on the bus that it names have been found in their DBC files.
 
-    Raises UnusableError: with every signal that is not there.
+    bus : the bus's interface and the key file are looked for on this machine as well.
+
+    Raises UnusableError: with everything that is not there.
     """
-    return _with(session, text, signal_problems, device_problems)
-
-
-def usable_here(session: SessionConfig, text: str) -> SessionConfig:
-    """The configuration, once what it names is on this machine: signals, the bus's interface, the key file.
-
-    Raises UnusableError: with everything that is not.
-    """
-    return _with(session, text, signal_problems, device_problems, bus_problems)
+    looks = (signal_problems, device_problems, bus_problems)[: 3 if bus else 2]
+    found = [(i, problem) for i, config in enumerate(session.loops) for look in looks for problem in look(config)]
+    lines = toml_lines(text) if found else {}
+    _refuse_findings([_placed(problem, lines, i if session.several else None) for i, problem in found])
+    return session
 
 
 def plants_here(session: SessionConfig, text: str) -> list[Sequence[str]]:
@@ -403,14 +391,6 @@ def plants_here(session: SessionConfig, text: str) -> list[Sequence[str]]:
         loop = with_plant[error.loop] if session.several else None
         raise UnusableError([_placed(error.problem, toml_lines(text), loop)]) from None
     return [told.get(i, ()) for i in range(len(session.loops))]
-
-
-def _with(session: SessionConfig, text: str, *looks: Callable[[Config], Iterable[Problem]]) -> SessionConfig:
-    """The configuration, once these have found nothing wrong with any of its loops."""
-    found = [(i, problem) for i, config in enumerate(session.loops) for look in looks for problem in look(config)]
-    lines = toml_lines(text) if found else {}
-    _refuse_findings([_placed(problem, lines, i if session.several else None) for i, problem in found])
-    return session
 
 
 def _refuse_findings(findings: Iterable[ConfigFlaw]) -> None:

@@ -200,73 +200,51 @@ class Config(Section):
 
     def problems(self) -> Iterator[Problem]:
         """What must hold between sections."""
-        for k, axis in enumerate(self.schedule.axes):
+        loop, schedule, adaptation, scenario = self.loop, self.schedule, self.adaptation, self.scenario
+        sample = loop.sample_time_s
+        shortest = f"must be at least loop.sample_time_s = {sample:g} s"
+        for k, axis in enumerate(schedule.axes):
             unit, low, high = self.limits_of(axis)
-            path = ("schedule", *(("axis", k) if self.schedule.axis else ()))
+            path = ("schedule", *(("axis", k) if schedule.axis else ()))
             for i, bound in enumerate(axis.bounds):
                 if not low < bound < high:
-                    yield Problem(
-                        (*path, "bounds", i),
-                        f"= {bound:g} must lie between {low:g} and {high:g} {unit}, "
-                        f"the range of the scheduling variable {axis.signal or axis.variable}",
-                    )
+                    along = f"the range of the scheduling variable {axis.signal or axis.variable}"
+                    told = f"= {bound:g} must lie between {low:g} and {high:g} {unit}, {along}"
+                    yield Problem((*path, "bounds", i), told)
             narrowest = min(b - a for a, b in pairwise((low, *axis.bounds, high)))
             if axis.hysteresis > narrowest / 2 > 0:
-                yield Problem(
-                    (*path, "hysteresis"),
-                    f"= {axis.hysteresis:g} must be at most half of the narrowest region, {narrowest / 2:g} {unit}",
-                )
-        # Gains have no sign of their own where the action is given
-        for i, region in enumerate(self.schedule.region):
-            if self.loop.action is not None and region.dialled < 0:
-                yield Problem(
-                    ("schedule", "region", i, region.dials[0].key),
-                    f"= {region.dialled:g}: loop.action = {self.loop.action!r} says the direction; give it positive",
-                )
-        yield from self._time_problems()
-        for i, step in enumerate(self.scenario.steps if self.scenario else ()):
-            if step.sp is not None and not self.loop.pv_min <= step.sp <= self.loop.pv_max:
-                yield Problem(
-                    ("scenario", "steps", i, "sp"),
-                    f"= {step.sp:g} must lie in the pv range, "
-                    f"{self.loop.pv_min:g} to {self.loop.pv_max:g} {self.loop.pv_unit}",
-                )
-        if self.adaptation.noise_band is not None and self.adaptation.noise_band > self._span / 2:
-            yield Problem(
-                ("adaptation", "noise_band"),
-                f"= {self.adaptation.noise_band:g} is more than half of the pv "
-                f"range of {self._span:g}; give a few standard deviations of the noise",
-            )
+                most = f"at most half of the narrowest region, {narrowest / 2:g} {unit}"
+                yield Problem((*path, "hysteresis"), f"= {axis.hysteresis:g} must be {most}")
+        for i, region in enumerate(schedule.region):
+            if loop.action is not None and region.dialled < 0:  # gains have no sign of their own then
+                told = f"= {region.dialled:g}: loop.action = {loop.action!r} says the direction; give it positive"
+                yield Problem(("schedule", "region", i, region.dials[0].key), told)
+        for i, region in enumerate(schedule.region):
+            tau_i = region.integral_time_s
+            if tau_i is not None and tau_i < sample:
+                yield Problem(("schedule", "region", i, region.dials[1].key), f"= {tau_i:g} s {shortest}")
+        if adaptation.wait_s is not None and adaptation.wait_s < sample:
+            yield Problem(("adaptation", "wait_s"), f"= {adaptation.wait_s:g} s {shortest}")
+        if scenario is not None and scenario.duration_s < sample:
+            told = f"= {scenario.duration_s:g} s is shorter than one sample of {sample:g} s"
+            yield Problem(("scenario", "duration_s"), told)
+        confirm, probation = self.confirm_within_s, self.bus.probation_samples
+        least, most_s = (probation + CONFIRM_ROOM) * sample, SAMPLES_MAX * sample
+        if confirm and not least <= confirm <= most_s:
+            why = f"the {probation} samples of probation and {CONFIRM_ROOM} more"
+            told = f"= {confirm:g} s must be 0, or {least:g} to {most_s:g} s: {why}"
+            yield Problem(("device", "confirm_within_s"), told)
+        for i, step in enumerate(scenario.steps if scenario else ()):
+            if step.sp is not None and not loop.pv_min <= step.sp <= loop.pv_max:
+                told = f"= {step.sp:g} must lie in the pv range, {loop.pv_min:g} to {loop.pv_max:g} {loop.pv_unit}"
+                yield Problem(("scenario", "steps", i, "sp"), told)
+        if adaptation.noise_band is not None and adaptation.noise_band > self._span / 2:
+            half = f"more than half of the pv range of {self._span:g}; give a few standard deviations of the noise"
+            yield Problem(("adaptation", "noise_band"), f"= {adaptation.noise_band:g} is {half}")
 
     @property
     def _span(self) -> float:
         return self.loop.pv_max - self.loop.pv_min
-
-    def _time_problems(self) -> Iterator[Problem]:
-        sample = self.loop.sample_time_s
-        for i, region in enumerate(self.schedule.region):
-            tau_i = region.integral_time_s
-            if tau_i is not None and tau_i < sample:
-                yield Problem(
-                    ("schedule", "region", i, region.dials[1].key),
-                    f"= {tau_i:g} s must be at least loop.sample_time_s = {sample:g} s",
-                )
-        wait = self.adaptation.wait_s
-        if wait is not None and wait < sample:
-            yield Problem(("adaptation", "wait_s"), f"= {wait:g} s must be at least loop.sample_time_s = {sample:g} s")
-        if self.scenario is not None and self.scenario.duration_s < sample:
-            yield Problem(
-                ("scenario", "duration_s"),
-                f"= {self.scenario.duration_s:g} s is shorter than one sample of {sample:g} s",
-            )
-        sample, confirm = self.loop.sample_time_s, self.confirm_within_s
-        least, most = (self.bus.probation_samples + CONFIRM_ROOM) * sample, SAMPLES_MAX * sample
-        if confirm and not least <= confirm <= most:
-            yield Problem(
-                ("device", "confirm_within_s"),
-                f"= {confirm:g} s must be 0, or {least:g} to {most:g} s: the "
-                f"{self.bus.probation_samples} samples of probation and {CONFIRM_ROOM} more",
-            )
 
     @property
     def confirm_within_s(self) -> float:

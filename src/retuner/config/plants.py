@@ -66,11 +66,8 @@ class LinearPlantConfig(_PlantSection):
         if self.k == 0:
             yield Problem(("k",), "= 0: the output would not move this plant; give its gain")
         if len(self.leads_s) > len(self.lags_s) + self.integrators:
-            yield Problem(
-                ("leads_s",),
-                f"has {len(self.leads_s)} leads for {len(self.lags_s) + self.integrators} lags "
-                "and integrators; a plant needs at least as many of these",
-            )
+            there = f"{len(self.leads_s)} leads for {len(self.lags_s) + self.integrators} lags and integrators"
+            yield Problem(("leads_s",), f"has {there}; a plant needs at least as many of these")
 
 
 @holding(BoilerSettings)

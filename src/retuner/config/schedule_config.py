@@ -180,13 +180,6 @@ class AxisConfig(Section):
         ends = self.range if len(self.range) == 2 else (low, high)
         return self.unit or unit, ends[0], ends[1]
 
-    def as_axis(self, unit: str, low: float, high: float) -> Axis:
-        """The axis as the schedule room knows it; arguments as limits."""
-        unit, low, high = self.limits(unit, low, high)
-        return Axis(
-            self.variable, unit, low, self.bounds, high, self.hysteresis, self.min_stay_s, self.filter_s, self.signal
-        )
-
 
 NEEDED = (
     ("unit", "give the signal's unit"),
@@ -252,19 +245,14 @@ class ScheduleConfig(Section):
 
     def problems(self) -> Iterator[Problem]:
         """Problems of regions: as many as the bounds make, in order, all acting one way."""
-        if self.axis:
-            # Keys of the simple form beside [[schedule.axis]]
-            for key in SIMPLE:
-                if getattr(self, key) != type(self).model_fields[key].default:
-                    yield Problem((key,), "conflicts with [[schedule.axis]]; write it into its axis")
+        fields = type(self).model_fields
+        beside = [key for key in SIMPLE if self.axis and getattr(self, key) != fields[key].default]
+        yield from (Problem((key,), "conflicts with [[schedule.axis]]; write it into its axis") for key in beside)
         counts = " x ".join(str(len(axis.bounds)) for axis in self.axes)
-        made = prod(self.shape)
+        made, first = prod(self.shape), self.region[0]
         if len(self.region) != made:
-            yield Problem(
-                ("region",),
-                f"{len(self.region)} given, but {counts} bounds make {made} regions; "
-                f"give {made} [[schedule.region]] or other bounds",
-            )
+            wanted = f"but {counts} bounds make {made} regions; give {made} [[schedule.region]] or other bounds"
+            yield Problem(("region",), f"{len(self.region)} given, {wanted}")
         for i, (low, high) in enumerate(pairwise(self.bounds), 1):
             if low >= high:
                 yield Problem(("bounds", i), f"= {high:g} must be greater than the bound before it, {low:g}")
@@ -273,39 +261,32 @@ class ScheduleConfig(Section):
             if region.name in seen:
                 yield Problem(("region", i, "name"), f"{region.name!r} is taken by another region; give each its own")
             seen.add(region.name)
-            if region.dialled * self.region[0].dialled < 0:
-                yield Problem(
-                    ("region", i, region.dials[0].key),
-                    f"= {region.dialled:g} acts against the first region's {self.region[0].dialled:g}; "
-                    "all regions act one way",
-                )
-        yield from self._cell_problems()
-
-    def _cell_problems(self) -> Iterator[Problem]:
-        given = [bool(region.cell) for region in self.region]
+            if region.dialled * first.dialled < 0:
+                against = f"acts against the first region's {first.dialled:g}; all regions act one way"
+                yield Problem(("region", i, region.dials[0].key), f"= {region.dialled:g} {against}")
+        # the cells of regions along two axes, given for all or for none
+        given = any(region.cell for region in self.region)
         taken: dict[tuple[int, ...], str] = {}
         for i, region in enumerate(self.region):
-            shown = ", ".join(map(str, region.cell))
-            if any(given) and not region.cell:
-                yield Problem(("region", i, "cell"), "is missing; give each region its cell, or none of them")
-            elif region.cell and len(self.shape) == 1:
-                yield Problem(
-                    ("region", i, "cell"),
-                    f"= [{shown}] has no meaning with one axis; order the regions from the lowest to the highest",
-                )
-            elif region.cell and not self._is_cell(region.cell):
-                most = ", ".join(map(str, self.shape))
-                yield Problem(("region", i, "cell"), f"= [{shown}] must be two numbers from 1 to {most}")
-            elif region.cell and region.cell in taken:
-                yield Problem(("region", i, "cell"), f"= [{shown}] is region {taken[region.cell]!r} already")
-            taken.setdefault(region.cell, region.name)
-
-    def _is_cell(self, cell: tuple[int, ...]) -> bool:
-        return len(cell) == len(self.shape) and all(i <= n for i, n in zip(cell, self.shape, strict=True))
+            cell, shown, told = region.cell, ", ".join(map(str, region.cell)), ""
+            if given and not cell:
+                told = "is missing; give each region its cell, or none of them"
+            elif cell and len(self.shape) == 1:
+                told = f"= [{shown}] has no meaning with one axis; order the regions from the lowest to the highest"
+            elif cell and (len(cell) != len(self.shape) or any(n > m for n, m in zip(cell, self.shape, strict=True))):
+                told = f"= [{shown}] must be two numbers from 1 to {', '.join(map(str, self.shape))}"
+            elif cell and cell in taken:
+                told = f"= [{shown}] is region {taken[cell]!r} already"
+            if told:
+                yield Problem(("region", i, "cell"), told)
+            taken.setdefault(cell, region.name)
 
     def as_regions(self, limits: tuple[tuple[str, float, float], ...]) -> Regions:
         """The regions as the schedule room knows them. limits : unit, lower and upper end of each axis' variable."""
-        axes = [axis.as_axis(*its) for axis, its in zip(self.axes, limits, strict=True)]
+        axes = [
+            Axis(a.variable, unit, low, a.bounds, high, a.hysteresis, a.min_stay_s, a.filter_s, a.signal)
+            for a, (unit, low, high) in ((a, a.limits(*its)) for a, its in zip(self.axes, limits, strict=True))
+        ]
         return Regions.along(tuple(region.name for region in self.regions), *axes)
 
 

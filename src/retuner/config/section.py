@@ -12,7 +12,7 @@ from typing import Annotated, Any, TypeVar
 from pydantic import AliasChoices, BaseModel, ConfigDict, Field, Strict, create_model, model_validator
 from pydantic_core import PydanticUndefined
 
-from retuner.adaptive.declared_setting import Declared, SettingLimits, declared
+from retuner.adaptive.declared_setting import SettingLimits, declared
 from retuner.config.toml_lines import Path
 from retuner.schedule.late_dataclass import dataclass
 
@@ -43,18 +43,17 @@ class Section(BaseModel):
 
     @model_validator(mode="after")
     def _settings_go_together(self) -> "Section":
-        problems = [*self._unprintable(), *self.problems()]
-        if problems:
-            raise CrossCheckError(problems)
-        return self
-
-    def _unprintable(self) -> Iterator[Problem]:
-        """Texts with characters that a terminal would act on: they are shown, and stand in reports and ledgers."""
+        problems = list[Problem]()
         for name in type(self).model_fields:
+            # characters that a terminal would act on: texts are shown, and stand in reports and ledgers
             value = getattr(self, name)
             for text in value if isinstance(value, tuple) else (value,):
                 if isinstance(text, str) and not text.isprintable():
-                    yield Problem((name,), f"= {text!r} has characters that cannot be printed; leave them out")
+                    told = f"= {text!r} has characters that cannot be printed; leave them out"
+                    problems.append(Problem((name,), told))
+        if problems := [*problems, *self.problems()]:
+            raise CrossCheckError(problems)
+        return self
 
     def problems(self) -> Iterator[Problem]:
         """What is wrong between the settings of this section; sections override it."""
@@ -117,7 +116,11 @@ def holding(
         for one in declared(settings):
             named = next((name for name in (prefix + one.name, one.name) if name in bare), "" if bare else one.name)
             if one.setting.source and named and one.name not in but:
-                given[named] = _field(one._replace(setting=one.setting._replace(**narrower.get(one.name, {}))))
+                s = one.setting._replace(**narrower.get(one.name, {}))
+                positive, high = (True, GREATEST) if s.low == 0 and s.high == math.inf else (s.positive, s.high)
+                limits, default = f"{'>' * positive}{s.low}..{high} {s.unit}", None if s.absent else one.default
+                field = setting(s.meaning, limits, default, s.source)
+                given[named] = (one.type | None if s.absent else one.type), field
         return create_model(section.__name__, __base__=section, __doc__=section.__doc__, **given)
 
     return filled
@@ -129,10 +132,3 @@ def held_by(section: Section, settings: type, prefix: str = "") -> dict[str, Any
         one.name: getattr(section, prefix + one.name, getattr(section, one.name, None)) for one in declared(settings)
     }
     return {name: value for name, value in found.items() if value is not None}
-
-
-def _field(one: Declared) -> tuple[object, object]:
-    s = one.setting
-    positive, high = (True, GREATEST) if s.low == 0 and s.high == math.inf else (s.positive, s.high)
-    field = setting(s.meaning, f"{'>' * positive}{s.low}..{high} {s.unit}", None if s.absent else one.default, s.source)
-    return (one.type | None if s.absent else one.type), field

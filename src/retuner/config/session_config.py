@@ -74,30 +74,28 @@ class SessionConfig:
 
     def problems(self) -> Iterator[tuple[int, Problem]]:
         """What does not go together between loops: index of the later loop, and the problem."""
-        for i, config in enumerate(self.loops):
+        for i, later in enumerate(self.loops):
             for earlier in self.loops[:i]:
-                yield from ((i, problem) for problem in _between(earlier, config))
-
-
-def _between(earlier: Config, later: Config) -> Iterator[Problem]:
-    name, bus, other = later.loop.name, later.bus, earlier.bus
-    if folder_name(name).lower() == folder_name(earlier.loop.name).lower():
-        yield Problem(("loop", "name"), f'= "{name}" names the files of "{earlier.loop.name}", too; give another name')
-    if (bus.interface == "virtual") != (other.interface == "virtual"):
-        message = f'= "{bus.interface}" and "{other.interface}" above: simulated loops have a session of their own'
-        yield Problem(("bus", "interface"), message)
-    (shared, model), (same, as_there) = _shared_plant(later), _shared_plant(earlier)
-    if shared and shared == same and model != as_there:
-        message = f'= "{shared}" is another model for "{earlier.loop.name}"; write it once, above all [[loop]]'
-        yield Problem(("device", "plant", "shared"), message)
-    if (bus.interface, bus.channel) != (other.interface, other.channel):
-        return
-    if later.node == earlier.node:
-        message = f'= {later.node} is the number of "{earlier.loop.name}" on the same bus; each controller has its own'
-        yield Problem(later.node_key, message)
-    if bus.hop_limit != other.hop_limit:
-        message = f'= {bus.hop_limit}, and {other.hop_limit} for "{earlier.loop.name}" on the same bus; make them equal'
-        yield Problem(("bus", "hop_limit"), message)
+                name, bus, other = later.loop.name, later.bus, earlier.bus
+                before = f'"{earlier.loop.name}"'
+                if folder_name(name).lower() == folder_name(earlier.loop.name).lower():
+                    message = f'= "{name}" names the files of {before}, too; give another name'
+                    yield i, Problem(("loop", "name"), message)
+                if (bus.interface == "virtual") != (other.interface == "virtual"):
+                    both = f'= "{bus.interface}" and "{other.interface}" above'
+                    yield i, Problem(("bus", "interface"), f"{both}: simulated loops have a session of their own")
+                (shared, model), (same, as_there) = _shared_plant(later), _shared_plant(earlier)
+                if shared and shared == same and model != as_there:
+                    message = f'= "{shared}" is another model for {before}; write it once, above all [[loop]]'
+                    yield i, Problem(("device", "plant", "shared"), message)
+                if (bus.interface, bus.channel) != (other.interface, other.channel):
+                    continue
+                if later.node == earlier.node:
+                    message = f"= {later.node} is the number of {before} on the same bus; each controller has its own"
+                    yield i, Problem(later.node_key, message)
+                if bus.hop_limit != other.hop_limit:
+                    both = f"= {bus.hop_limit}, and {other.hop_limit} for {before} on the same bus"
+                    yield i, Problem(("bus", "hop_limit"), f"{both}; make them equal")
 
 
 def _shared_plant(config: Config) -> tuple[str, dict[str, object]]:
@@ -115,15 +113,14 @@ def loop_documents(document: Mapping[str, object]) -> list[dict[str, object]]:
     """A document with [[loop]] tables as one document a loop, each with what all share."""
     tables = document["loop"]
     assert isinstance(tables, list)
-    shared = {name: value for name, value in document.items() if name != "loop"}
-    return [_of_one(shared, table) for table in tables]
-
-
-def _of_one(shared: Mapping[str, object], table: object) -> dict[str, object]:
-    if not isinstance(table, Mapping):
-        return {**shared, "loop": table}
-    own = {name: table[name] for name in SECTIONS if name in table}
-    return {**_joined(shared, own), "loop": {name: value for name, value in table.items() if name not in own}}
+    shared, found = {name: value for name, value in document.items() if name != "loop"}, []
+    for table in tables:
+        own = {name: table[name] for name in SECTIONS if name in table} if isinstance(table, Mapping) else {}
+        loop = (
+            {name: value for name, value in table.items() if name not in own} if isinstance(table, Mapping) else table
+        )
+        found.append({**_joined(shared, own), "loop": loop})
+    return found
 
 
 def _joined(shared: Mapping[str, object], own: Mapping[str, object]) -> dict[str, object]:
