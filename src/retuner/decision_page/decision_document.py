@@ -158,6 +158,14 @@ def decision_document(view: DecisionView) -> DecisionDocument:
         reason = " Then ".join(one for one in told if one)
         when = f"{number(later, 't_s') or 0.0:,.0f}"
         judged.append((f"{number(later, 'number') or 0:.0f}", when, reason, words(later, "trial")))
+    loads = len(numbers(view.estimate, "loads"))
+    entry = (
+        ("ledger row", f"{view.row}, hash {view.hash}" if view.row is not None else ""),
+        ("active gains at the time", settings_text(view.before, words(view.document, "loop")) if view.before else ""),
+        ("code", words(view.document, "code")),
+        ("load steps in the record", str(loads) if loads else ""),
+        ("state of the region", words(view.document, "trial")),
+    )
     sections = (
         PageSection("The response", (Drawing("response"), Text(_how_it_ended(view), "muted"))),
         PageSection("The trial: this response against the predicted performance", _judged_by(view)),
@@ -170,7 +178,7 @@ def decision_document(view: DecisionView) -> DecisionDocument:
         ),
         PageSection(heading, (Table(heads, rows), Text(spread, "muted")) if rows else ()),
         PageSection("What came of it", _table(("decision", "time [s]", "result", "then"), judged)),
-        PageSection("Ledger entry", _pairs(_whereabouts(view))),
+        PageSection("Ledger entry", _pairs(entry)),
     )
     return DecisionDocument(
         f"{words(view.document, 'loop')}: decision {view.number}",
@@ -226,7 +234,6 @@ def _how_it_ended(view: DecisionView) -> str:
 
 
 def _learned(view: DecisionView) -> Sequence[Block]:
-    """Structure, parameters, how many records, how this one stood to what was known."""
     model = view.model
     if model is None:
         return (Text(words(view.estimate, "reason")),)
@@ -301,23 +308,20 @@ def _proposal(view: DecisionView) -> Sequence[Block]:
 
 def _settings_rows(sets: Sequence[PidGains], units: ControllerUnits) -> Iterator[tuple[str, ...]]:
     """Settings as they stand on the controller, and in parallel form as they are sent; what nobody has is left out."""
+    dialled: list[tuple[float | None, ...]] = []
+    for gains in sets:
+        try:
+            shown = units.numbers(gains)
+            dialled.append(shown[:3] if shown.form == units.form else (None, None, None))
+        except ValueError:  # a form that this set has not
+            dialled.append((None, None, None))
     for i, dial in enumerate(units.dials):
-        if not dial.label:
-            continue
         form = f" ({units.form})" if i == 0 and not units.apart else ""
-        yield f"{dial.label}{form}", *[_cell(_dialled(gains, units)[i], dial.unit) for gains in sets]
+        if dial.label:
+            yield f"{dial.label}{form}", *[_cell(numbers_[i], dial.unit) for numbers_ in dialled]
     if units.dials != PARALLEL:
         for name, unit in (("kp", ""), ("ki", " /s"), ("kd", " s")):
             yield name, *(_cell(getattr(gains, name), unit) for gains in sets)
-
-
-def _dialled(gains: PidGains, units: ControllerUnits) -> tuple[float | None, ...]:
-    """The numbers on the controller; none in a form that this set has not."""
-    try:
-        shown = units.numbers(gains)
-    except ValueError:
-        return None, None, None
-    return shown[:3] if shown.form == units.form else (None, None, None)
 
 
 def _cell(value: float | None, unit: str) -> str:
@@ -383,17 +387,6 @@ def _margins(view: DecisionView) -> Sequence[Block]:
     return (Table(("", *(old_name(view), new, f"{new}, worst case")[: len(rows[0]) - 2], "usual"), rows),)
 
 
-def _whereabouts(view: DecisionView) -> list[tuple[str, object]]:
-    loads = len(numbers(view.estimate, "loads"))
-    return [
-        ("ledger row", f"{view.row}, hash {view.hash}" if view.row is not None else ""),
-        ("active gains at the time", settings_text(view.before, words(view.document, "loop")) if view.before else ""),
-        ("code", words(view.document, "code")),
-        ("load steps in the record", str(loads) if loads else ""),
-        ("state of the region", words(view.document, "trial")),
-    ]
-
-
 MEASURES = {
     "overshoot": ("overshoot (-E2/E1)", 100.0, " %"),
     "damping": ("half-cycle decay ratio (E3-E2)/(E1-E2)", 1.0, ""),
@@ -437,8 +430,13 @@ def _judged_by(view: DecisionView) -> Sequence[Block]:
     for name, (label, factor, unit) in MEASURES.items():
         if number(found, name) is None:
             continue
-        beside = (number(found, f"{name}{which}") for which in ("", "_promised", "_limit", "_before"))
-        rows.append((label, *("" if one is None else _judged(name, one, factor, unit) for one in beside)))
+        cells = []
+        for value in (number(found, f"{name}{which}") for which in ("", "_promised", "_limit", "_before")):
+            if value is None or value >= 0 or name == "overshoot":
+                cells.append("" if value is None else _in(value, factor, unit))
+            else:  # below 0 stands for infinite, but an overshoot may be
+                cells.append("unstable" if name == "ms" else _in(None))
+        rows.append((label, *cells))
     heads = ("", "measured", "predicted", "limit", "previous settings")
     return (Text(_told(judgement)), *_table(heads, rows)) if judgement else ()
 
@@ -448,13 +446,6 @@ def _told(judgement: Document) -> str:
     finding, reason = FINDINGS.get(words(judgement, "finding"), ""), words(judgement, "reason")
     told = reason if reason.lower().startswith(finding.lower()) else f"{finding}: {reason}"
     return f"{told[:1].upper()}{told[1:]}." if told else ""
-
-
-def _judged(name: str, value: float, factor: float, unit: str) -> str:
-    """A number that was weighed; below 0 stands for infinite, but an overshoot may be."""
-    if value >= 0 or name == "overshoot":
-        return _in(value, factor, unit)
-    return "unstable" if name == "ms" else _in(None)
 
 
 def page(view: DecisionView) -> str:

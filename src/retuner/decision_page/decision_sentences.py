@@ -100,15 +100,11 @@ def robustness(view: DecisionView) -> str:
     if "nominal" not in ms or view.verdict.get("allowed") == []:  # no model: nothing is known of Ms
         return ""
     known = "the identified process" + ", which this record contradicts" * view.contradicted
-    before, after, worst = (_ms(number(ms, name)) for name in ("before", "nominal", "worst"))
+    values = (number(ms, name) for name in ("before", "nominal", "worst"))  # null in a document is an unstable loop
+    before, after, worst = ("unstable" if one is None or math.isinf(one) else f"Ms {one:.2f}" for one in values)
     if view.after is None:
         return f"With the active settings: {before} on {known}, worst case {worst} over the plausible models."
     return f"On {known}: {before} before, {after} after; worst case over the plausible models {worst}."
-
-
-def _ms(ms: float | None) -> str:
-    """Ms by its name, or that there is none: null in a document is an unstable loop."""
-    return "unstable" if ms is None or math.isinf(ms) else f"Ms {ms:.2f}"
 
 
 def headline(view: DecisionView) -> str:
@@ -153,11 +149,11 @@ def parameters(model: ProcessModel, std: dict[str, float], unit: str) -> list[tu
         ("tau2 (second lag)", "tau2", model.tau2_s, " s"), ("tau3 (third lag)", "tau3", model.tau3_s, " s"),
         ("theta (dead time)", "theta", model.theta_s, " s"),
     ]  # fmt: skip
-    return [(label, f"{value:.4g}{_spread(value, std.get(name))}{unit}") for label, name, value, unit in rows if value]
-
-
-def _spread(value: float, std: float | None) -> str:
-    return "" if std is None else f" +- {std:.2g} ({abs(std / value):.1%})"
+    told = []
+    for label, name, value, its in rows:
+        spread = f" +- {std[name]:.2g} ({abs(std[name] / value):.1%})" if value and name in std else ""
+        told += [(label, f"{value:.4g}{spread}{its}")] if value else []
+    return told
 
 
 def ms_limit(view: DecisionView) -> float:

@@ -73,25 +73,20 @@ class DecisionView:
     hash: str = ""
     later: tuple[Document, ...] = ()
 
-    @property
-    def number(self) -> int:
-        """Number of the decision in its loop."""
-        return int(number(self.document, "number") or 0)
-
-    @property
-    def t_s(self) -> float:
-        """When it was taken, s."""
-        return number(self.document, "t_s") or 0.0
-
-    @property
-    def action(self) -> str:
-        """none, advise, commit or restore."""
-        return words(self.document, "action")
-
-    @property
-    def response(self) -> Document:
-        """What the recogniser saw."""
-        return part(self.document, "response")
+    number = cached_property(lambda self: int(number(self.document, "number") or 0))  # of the decision in its loop
+    t_s = cached_property(lambda self: number(self.document, "t_s") or 0.0)  # when it was taken, s
+    action = cached_property(lambda self: words(self.document, "action"))  # none, advise, commit or restore
+    rolls_back = cached_property(lambda self: self.action == "restore")
+    response = cached_property(lambda self: part(self.document, "response"))  # what the recogniser saw
+    # what the record by itself, with what was known before, said of the process; and what the guard let through
+    estimate = cached_property(lambda self: part(self.document, "estimate"))
+    verdict = cached_property(lambda self: part(self.document, "verdict"))
+    # the process as the record shows it; that which was decided on, known of the region after this record; and whether
+    # the record speaks against it
+    of_record = cached_property(lambda self: model_of(part(self.estimate, "model")))
+    model = cached_property(lambda self: decided_on(self.document))
+    contradicted = cached_property(lambda self: words(self.document, "surprise") == Agreement.CONTRADICTS.code)
+    before = cached_property(lambda self: gains_of(part(self.document, "gains_before")))  # gains in force
 
     @cached_property
     def peaks(self) -> list[Peak]:
@@ -101,40 +96,10 @@ class DecisionView:
         return [Peak(*pair) for pair in pairs if len(pair) == 2]
 
     @property
-    def estimate(self) -> Document:
-        """What the record by itself, with what was known before, said of the process."""
-        return part(self.document, "estimate")
-
-    @property
-    def verdict(self) -> Document:
-        """What the guard let through."""
-        return part(self.document, "verdict")
-
-    @cached_property
-    def of_record(self) -> ProcessModel | None:
-        """The process as the record shows it."""
-        return model_of(part(self.estimate, "model"))
-
-    @cached_property
-    def model(self) -> ProcessModel | None:
-        """The process that was decided on: what is known of the region after this record."""
-        return decided_on(self.document)
-
-    @property
-    def contradicted(self) -> bool:
-        """Whether the record speaks against the process that was decided on."""
-        return words(self.document, "surprise") == Agreement.CONTRADICTS.code
-
-    @property
     def spread(self) -> dict[str, float]:
         """Standard deviations of its parameters, by name."""
         known = part(self.document, "known") or (self.estimate if self.model == self.of_record else {})
         return {name: value for name, raw in part(known, "std").items() if (value := finite(raw)) is not None}
-
-    @cached_property
-    def before(self) -> PidGains | None:
-        """Gains in force."""
-        return gains_of(part(self.document, "gains_before"))
 
     @cached_property
     def after(self) -> PidGains | None:
@@ -151,11 +116,6 @@ class DecisionView:
         """The other models that the records still allow, as a sampled controller sees them: those of the proof."""
         models = [model_of(part(one, "model")) for one in parts(self.verdict, "allowed")[1:]]
         return tuple(self._sampled(model) for model in models if model)
-
-    @property
-    def rolls_back(self) -> bool:
-        """Whether a change on trial is rolled back."""
-        return self.action == "restore"
 
     @cached_property
     def tried(self) -> PidGains | None:
@@ -216,17 +176,14 @@ def view_of(
     sample_time_s = float(np.median(np.diff(columns["t"]))) if len(columns["t"]) > 1 else 0.0
     row, digest = place or (None, "")
     view = DecisionView(document, samples, unit, sample_time_s, row, digest, later)
-    return view if samples is None else replace(view, samples=with_model(view, samples))
-
-
-def with_model(view: DecisionView, samples: Samples) -> Samples:
-    """The samples with pv as the model of this record explains it, where there is one."""
-    if view.of_record is None or view.estimate.get("residual") is None:
-        return samples
+    if samples is None or view.of_record is None or view.estimate.get("residual") is None:
+        return view
+    # with pv as the model of this record explains it
     window = Window(samples.t_s, samples.sp, samples.pv, samples.co)
     inside = [t for t in numbers(view.estimate, "loads") if t >= samples.t_s[0]]
     residual = number(view.estimate, "residual") or 0.0
-    return replace(samples, explained=explained_pv(window, view.of_record, inside, residual))
+    explained = explained_pv(window, view.of_record, inside, residual)
+    return replace(view, samples=replace(samples, explained=explained))
 
 
 def what_came_of(document: Document, all_documents: Sequence[Document]) -> tuple[Document, ...]:
@@ -246,11 +203,17 @@ def what_came_of(document: Document, all_documents: Sequence[Document]) -> tuple
 
 
 def worth_pages(documents: Sequence[Document], most: int) -> list[Document]:
-    """Decisions of which there is more to tell than a line, at most so many, in the order of time.
-
-    Those that change gains come first, then the newest.
+    """Decisions of which there is more to tell than a line, at most so many, in the order of time: gains change or are
+    judged, or a proof or a cause speaks against it. Those that change gains come first, then the newest.
     """
-    worth = [document for document in documents if worth_a_page(document)]
+    worth = [
+        one
+        for one in documents
+        if changes(one)
+        or one.get("verdict")
+        or one.get("judgement")
+        or words(part(one, "diagnosis"), "cause") not in {"", "ok"}
+    ]
     ranked = sorted(worth, key=lambda document: (not changes(document), -(number(document, "t_s") or 0.0)))
     kept = {id(document) for document in ranked[:most]}
     return [document for document in worth if id(document) in kept]
@@ -259,9 +222,3 @@ def worth_pages(documents: Sequence[Document], most: int) -> list[Document]:
 def changes(document: Document) -> bool:
     """Whether gains are written, put back or advised."""
     return words(document, "action") in {"commit", "advise", "restore"}
-
-
-def worth_a_page(document: Document) -> bool:
-    """Whether there is more to tell than one line: gains change or are judged, a proof or a cause speaks against it."""
-    told = changes(document) or document.get("verdict") or document.get("judgement")
-    return bool(told) or words(part(document, "diagnosis"), "cause") not in {"", "ok"}

@@ -122,8 +122,15 @@ def change_text(decision: "Decision | Document") -> str:
     if stays(document):
         return f"kept: {settings_text(after, loop)}"
     verb = LATER if document.get("later") else verb
-    moved = f"{verb}: {settings_text(before, loop)} -> {settings_text(after, loop)}"
-    return f"{moved}{_robustness(part(document, 'verdict'))}"
+    moved, verdict = f"{verb}: {settings_text(before, loop)} -> {settings_text(after, loop)}", part(document, "verdict")
+    ms = part(verdict, "ms")
+    if "nominal" not in ms or verdict.get("allowed") == []:  # no model: nothing is known of Ms
+        return moved
+    was, now = (ms_words(number(ms, name)) for name in ("before", "nominal"))
+    worst, step = number(ms, "worst"), number(verdict, "step")
+    at_worst = "worst case unstable" if worst is None else f"worst case {worst:.2f}"
+    share = "" if step is None or step > WHOLE_STEP else f", {step:.0%} of the full change"
+    return f"{moved}, Ms {was} -> {now} ({at_worst}{share})"
 
 
 def part_words(verdict: Document) -> str:
@@ -131,32 +138,16 @@ def part_words(verdict: Document) -> str:
     step = number(verdict, "step")
     if step is None or step > WHOLE_STEP:
         return ""
-    return f"{step:.0%} of the full change{_why_a_part(verdict, step)}"
-
-
-def _why_a_part(verdict: Document, step: float) -> str:
-    """Why it is a part of the way: a limit of one change, or one of Ms; empty where neither is seen."""
+    told = f"{step:.0%} of the full change"
     for check in parts(verdict, "checks"):
         value, limit = number(check, "value"), number(check, "limit")
         if words(check, "name").startswith("step_") and value and limit and value > (1.0 - AT_LIMIT) * limit:
-            return f": one change is limited to a factor of {limit:g}"
-    return ": more is not proved robust" if any(abs(step - share) < AT_LIMIT for share in HALVED) else ""
+            return f"{told}: one change is limited to a factor of {limit:g}"
+    return f"{told}: more is not proved robust" if any(abs(step - share) < AT_LIMIT for share in HALVED) else told
 
 
 AT_LIMIT = 0.02  # A factor that reaches its limit but for so much is held by it: controllers round
 HALVED = (0.5, 0.25)  # steps that the guard tries where the whole is not robust
-
-
-def _robustness(verdict: Document) -> str:
-    ms = part(verdict, "ms")
-    if "nominal" not in ms or verdict.get("allowed") == []:  # no model: nothing is known of Ms
-        return ""
-    before, after = (ms_words(number(ms, name)) for name in ("before", "nominal"))
-    worst = number(ms, "worst")
-    at_worst = "worst case unstable" if worst is None else f"worst case {worst:.2f}"
-    step = number(verdict, "step")
-    share = "" if step is None or step > WHOLE_STEP else f", {step:.0%} of the full change"
-    return f", Ms {before} -> {after} ({at_worst}{share})"
 
 
 def ms_words(ms: float | None) -> str:

@@ -75,7 +75,6 @@ def time_unit(span_s: float) -> tuple[float, str]:
 
 
 def _signals(place: Place, over: Range, view: DecisionView, samples: Samples, x: FloatArray) -> Panel:
-    """pv, setpoint with the band in which the error counted as zero, and the model's pv."""
     band = number(view.response, "band") or 0.0
     near = abs(float(np.median(samples.sp - samples.pv))) < FAR_SETPOINT_RANGES * float(np.ptp(samples.pv))
     with_setpoint = near or np.ptp(samples.sp) > 0
