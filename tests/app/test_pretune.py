@@ -17,7 +17,7 @@ from retuner.drivers.controller.device_process import DeviceOnBus
 from retuner.errors import LedgerError
 from retuner.experiment.runner import ExperimentRunner
 from retuner.session.ledger_rows import feed
-from retuner.session.pretuning import Pretuning, row
+from retuner.session.pretuning import row
 from retuner.session.running import Run
 
 LOOP = """
@@ -124,11 +124,11 @@ def test_a_loop_without_room_for_the_step_is_one_line_and_untouched(loop, capsys
 
 
 def test_a_controller_that_never_comes_back_does_not_begin_a_run(loop, capsys, monkeypatch):
-    sample_of, note_of = DeviceOnBus.sample, Pretuning._note
+    sample_of, note_of = DeviceOnBus.sample, ExperimentRunner._note
     dead: list[bool] = []
 
-    def note(self: Pretuning, kind: str, t_s: float, body: Mapping[str, Any]) -> None:
-        note_of(self, kind, t_s, body)
+    def note(self: ExperimentRunner, body: Mapping[str, Any]) -> None:
+        note_of(self, body)
         dead.extend([True] if body.get("phase") == "exciting" else [])
 
     def sample(self: DeviceOnBus, dt_s: float | None = None) -> None:
@@ -137,7 +137,7 @@ def test_a_controller_that_never_comes_back_does_not_begin_a_run(loop, capsys, m
         else:
             sample_of(self, dt_s)
 
-    monkeypatch.setattr(Pretuning, "_note", note)
+    monkeypatch.setattr(ExperimentRunner, "_note", note)
     monkeypatch.setattr(DeviceOnBus, "sample", sample)
     status, folder = ran(loop())
     assert status == 2
@@ -170,19 +170,19 @@ def test_a_ledger_that_fails_ends_the_step_and_the_loop_is_as_before(phase: str,
 
 def test_ctrl_c_takes_the_step_back_before_it_ends_the_run(loop: Made, monkeypatch: pytest.MonkeyPatch) -> None:
     ended: list[tuple[Phase, AbortCause | None]] = []
-    poll_of, ended_of = ExperimentRunner.poll, Pretuning._ended
+    poll_of, conduct_of = ExperimentRunner.poll, ExperimentRunner.conduct
 
     def poll(self: ExperimentRunner, now_s: float) -> None:
         poll_of(self, now_s)
         if self.phase is Phase.EXCITING and len(self.samples) - self.excited_from == 5:
             raise KeyboardInterrupt
 
-    def note_end(self: Pretuning, conductor: ExperimentRunner) -> None:
-        ended.append((conductor.phase, conductor.cause))
-        ended_of(self, conductor)
+    def conduct(self: ExperimentRunner, turn: Callable[[], float]) -> None:
+        conduct_of(self, turn)
+        ended.append((self.phase, self.cause))
 
     monkeypatch.setattr(ExperimentRunner, "poll", poll)
-    monkeypatch.setattr(Pretuning, "_ended", note_end)
+    monkeypatch.setattr(ExperimentRunner, "conduct", conduct)
     assert ran(loop())[0] == 130
     assert ended == [(Phase.RESTORED, AbortCause.INTERRUPTED)]
 

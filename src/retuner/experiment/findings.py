@@ -5,8 +5,6 @@ record allows; another method's model or another rule is taken only when it is a
 """
 
 from collections.abc import Callable
-from functools import partial
-from itertools import starmap
 
 from retuner.adaptive.experiments import relay, step
 from retuner.adaptive.experiments.plan import Experiment
@@ -106,15 +104,29 @@ class ExperimentFindings:
 def evaluate(window: Window, question: ExperimentQuestion) -> ExperimentFindings:
     """Everything that the record says. Raises UserError: the rule that was asked for refuses."""
     found = ExperimentFindings(question.kind)
-    readers = {
-        Experiment.STEP: _read_step,
-        Experiment.SETPOINT: _read_setpoint,
-        Experiment.RELAY: _read_relay,
-        ULTIMATE: _read_swing,
-    }
     if question.kind != ULTIMATE:
-        _fit(found, window, question)
-    readers[question.kind](found, window, question)
+        at_setpoint = question.kc and question.kind == Experiment.SETPOINT
+        gains = PidGains(question.kc, 0.0) if question.kc and at_setpoint else question.in_force
+        try:
+            found.fit = identify_record(window, open_loop=question.from_rest, gains=gains)
+        except ValueError as refusal:
+            found.refused[FIT] = str(refusal)
+        else:
+            estimate = found.fit.estimate
+            if estimate.identifiable:
+                found.models[FIT] = estimate.log.model()
+            else:
+                found.refused[FIT] = estimate.reason
+    if question.kind == Experiment.STEP:
+        for method in step.StepMethod:
+            try:
+                seen = step.step_response(window, rest=method != step.StepMethod.SLOPE)
+                found.models[method] = step.model_by(method, seen)
+            except ValueError as refusal:
+                found.refused[method] = str(refusal)
+    else:
+        read = {Experiment.SETPOINT: _read_setpoint, Experiment.RELAY: _read_relay, ULTIMATE: _read_swing}
+        read[question.kind](found, window, question)
     try:
         name, found.chosen = _asked_for(found, question)
     except ValueError as refusal:
@@ -131,31 +143,7 @@ def _try(found: ExperimentFindings, name: str, work: Callable[[], ProcessModel])
         found.refused[name] = str(refusal)
 
 
-def _fit(found: ExperimentFindings, window: Window, question: ExperimentQuestion) -> None:
-    gains = PidGains(question.kc, 0.0) if question.kc and question.kind == Experiment.SETPOINT else question.in_force
-    try:
-        found.fit = identify_record(window, open_loop=question.from_rest, gains=gains)
-    except ValueError as refusal:
-        found.refused[FIT] = str(refusal)
-        return
-    estimate = found.fit.estimate
-    if estimate.identifiable:
-        found.models[FIT] = estimate.log.model()
-    else:
-        found.refused[FIT] = estimate.reason
-
-
-def _read_step(found: ExperimentFindings, window: Window, question: ExperimentQuestion) -> None:  # noqa: ARG001  all readers alike
-    for method in step.StepMethod:
-        _try(found, method, partial(_step_model, method, window))
-
-
-def _step_model(method: step.StepMethod, window: Window) -> ProcessModel:
-    return step.model_by(method, step.step_response(window, rest=method != step.StepMethod.SLOPE))
-
-
 def _read_setpoint(found: ExperimentFindings, window: Window, question: ExperimentQuestion) -> None:
-    """Peak and undershoot, the two-step model and the direct settings."""
     try:
         seen = step.measure(window)
     except ValueError as refusal:
@@ -173,7 +161,6 @@ def _read_setpoint(found: ExperimentFindings, window: Window, question: Experime
 
 
 def _read_relay(found: ExperimentFindings, window: Window, question: ExperimentQuestion) -> None:
-    """Ultimate gain and period, and the asymmetric relay's first order."""
     try:
         cycle = relay_cycle(window, question.hysteresis)
     except ValueError as refusal:
@@ -271,12 +258,6 @@ LABELS = {
 """Readings of a test in words; what is not here has the name of its method's paper."""
 
 
-def _reading(name: str, value: float) -> str:
-    if isinstance(value, bool):
-        return f"{LABELS.get(name, name)} {'yes' if value else 'no'}"
-    return f"{LABELS.get(name, name)} {value:.4g}"
-
-
 def described(found: ExperimentFindings, *, settings: bool = True) -> list[str]:
     """Models by method, readings, and settings (unless they are not wanted) in lines."""
     width = max((len(name) for name in (*found.models, *found.refused)), default=0)
@@ -286,7 +267,11 @@ def described(found: ExperimentFindings, *, settings: bool = True) -> list[str]:
         std = ", ".join(f"{name} {value:.2g}" for name, value in found.fit.estimate.log.std().items())
         lines.append(f"{'':<{width}}  {found.fit.estimate.reason}; standard deviations: {std}")
     for name, values in found.measured.items():
-        lines.append(f"{TITLES.get(name, name)}: {', '.join(starmap(_reading, values.items()))}")
+        told = list[str]()
+        for key, value in values.items():
+            shown = ("yes" if value else "no") if isinstance(value, bool) else f"{value:.4g}"
+            told.append(f"{LABELS.get(key, key)} {shown}")
+        lines.append(f"{TITLES.get(name, name)}: {', '.join(told)}")
     if not settings:
         return lines
     if found.chosen is None:

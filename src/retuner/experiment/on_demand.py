@@ -16,20 +16,87 @@ import typer
 
 from retuner.adaptive.experiments.phases import AbortCause, Phase
 from retuner.adaptive.experiments.plan import Experiment, Plan
-from retuner.adaptive.experiments.valve_test import FEWEST_HOLDS, read_valve_test
+from retuner.adaptive.experiments.valve_test import FEWEST_HOLDS, ValveReading, read_valve_test
 from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.adaptive.supervision.decision import gains_dict
 from retuner.config import Config
+from retuner.decision_page.svg import drawn
 from retuner.drivers.device import Bench, Event, Reverted, WriteDone, WriteFailed, WriteRefusedError
 from retuner.errors import UserError, user_input
-from retuner.experiment.findings import ExperimentFindings, ExperimentQuestion, described, evaluate, valve_described
-from retuner.experiment.result import RECORD, ExperimentResult
+from retuner.experiment.drawing import experiment_figure
+from retuner.experiment.findings import (
+    ExperimentFindings,
+    ExperimentQuestion,
+    described,
+    evaluate,
+    headline,
+    valve_described,
+)
 from retuner.experiment.runner import ExperimentRunner, restore_patience_s
 from retuner.experiment.target import p_only
+from retuner.files import write_json, write_whole
 from retuner.ledger import Ledger, Recorder
 from retuner.report.console import RunScreen
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass
 from retuner.stopping import unstoppable
+
+# ---- What an experiment leaves behind: one JSON document, the record as CSV, the picture
+
+RECORD, TREND, PICTURE, SUMMARY = "record.csv", "trend.csv", "experiment.png", "summary.json"
+"""The experiment alone, which `retuner experiment --from` takes; everything from the first look on; the picture; what
+was found."""
+COLUMNS = ("t", "sp", "pv", "co", "mode", "limited")
+
+
+@dataclass(slots=True)
+class ExperimentResult:
+    """How an experiment went.
+
+    loop, unit : name of the loop, unit of pv. folder : where it is left. runner : over. found : None when too little
+    was recorded. valve : what a valve test says. written : None when nothing was to be written, empty when the
+    settings run, else why they do not.
+    """
+
+    loop: str
+    unit: str
+    folder: Path
+    runner: ExperimentRunner
+    found: ExperimentFindings | None = None
+    valve: ValveReading | None = None
+    written: str | None = None
+
+    def to_dict(self) -> dict[str, object]:
+        """Keys of Findings.to_dict, and ended, restored, touched, before, rest, samples, applied, write, folder."""
+        runner = self.runner
+        before, rest, cause = runner.before, runner.rest, runner.cause.name.lower() if runner.cause else None
+        return {
+            **(self.found.to_dict() if self.found else {"experiment": runner.plan.kind}),
+            **({"valve": self.valve.to_dict()} if self.valve else {}),
+            "ended": {"phase": runner.phase.name.lower(), "cause": cause, "text": runner.text},
+            "restored": runner.phase is Phase.RESTORED,
+            "touched": runner.touched,
+            "before": before and {**before._asdict(), "gains": gains_dict(before.gains)},
+            "rest": rest and rest._asdict(),
+            "samples": len(runner.excited),
+            "applied": self.written == "",
+            "write": self.written,
+            "folder": str(self.folder),
+        }
+
+    def leave(self) -> None:
+        """Write the files, each whole."""
+        runner, found = self.runner, self.found
+        for name, samples in ((RECORD, runner.excited), (TREND, runner.samples)):
+            rows = (f"{s.t_s!r},{s.sp!r},{s.pv!r},{s.co!r},{int(s.mode)},{int(s.limited)}" for s in samples)
+            write_whole(self.folder / name, "\n".join((",".join(COLUMNS), *rows)) + "\n")
+        if found is not None:
+            title = f"{self.loop}, {runner.plan.kind}: {headline(found)}"
+            band = (runner.plan.pv_low, runner.plan.pv_high)
+            picture = experiment_figure(Window.of(runner.excited), found, title, self.unit, band)
+            write_whole(self.folder / PICTURE, drawn(picture, title, ".png"))
+        write_json(self.folder / SUMMARY, self.to_dict())
+
 
 # ---- The confirmed settings into the controller
 
@@ -166,16 +233,12 @@ class OnDemandExperiment:
         runner, outcome = self._runner, self._outcome
         self._ledger.append("session", {"config": self._config.summary(), "retuner": version("retuner")}, 0.0)
         self._screen.begin(f"{self._config.loop.name}: {runner.plan.kind}")
-        # turn by turn until the old state is back; Ctrl-C is an abort like any other
-        while not runner.phase.over:
-            try:
-                now_s = self._bench.turn()
-                with unstoppable():
-                    runner.poll(now_s)
-            except KeyboardInterrupt:
-                if runner.phase.touched:
-                    self._screen.say("stopping: the initial state is being restored")
-                runner.abort(AbortCause.INTERRUPTED)
+
+        def stopping() -> None:
+            if runner.phase.touched:
+                self._screen.say("stopping: the initial state is being restored")
+
+        runner.conduct(self._bench.turn, stopping)
         if runner.cause in OPTION_AT_FAULT and not runner.touched:
             raise UserError(f"{OPTION_AT_FAULT[runner.cause]}: {runner.text}; nothing was changed")
         held = bool(runner.plan.hold_s)
@@ -218,7 +281,6 @@ class OnDemandExperiment:
                 self._screen.say(f"{t_s:8,.0f} s {phase.value}" + (f" ({body['cause']})" if body.get("cause") else ""))
 
     def _on_sample(self, sample: LoopSample, phase: Phase) -> None:
-        """Progress by what the excitation has used of its time."""
         runner = self._runner
         since = (len(runner.samples) - runner.excited_from) * self._config.loop.sample_time_s
         progress = min(since / runner.plan.time_s, 1.0) if phase is Phase.EXCITING else float(phase in AFTER)
@@ -272,7 +334,6 @@ class OnDemandExperiment:
         return ""
 
     def _confirmed(self) -> bool:
-        """--yes, or a person's yes at a terminal; never by default."""
         if self._yes:
             return True
         if not self._as_json and sys.stdin.isatty():

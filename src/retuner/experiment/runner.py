@@ -38,44 +38,13 @@ from retuner.drivers.device import (
 from retuner.errors import LedgerError
 from retuner.experiment.target import CO_SHOWN, Helm, OldState, Target, target
 from retuner.ledger import Recorder
+from retuner.stopping import unstoppable
 
 # ---- What ends an experiment
 
 LIMITED_MOST = 2  # samples for which the output may stand at a limit during a setpoint experiment
 
 Trouble = tuple[AbortCause, str]
-
-
-def out_of_band(plan: Plan, sample: LoopSample) -> Trouble | None:
-    """pv outside its band."""
-    if plan.pv_low <= sample.pv <= plan.pv_high:
-        return None
-    return AbortCause.PV_BAND, f"pv = {sample.pv:.6g}, band {plan.pv_low:.6g} to {plan.pv_high:.6g}"
-
-
-def cannot_begin(plan: Plan, rest: LoopAtRest, sample: LoopSample) -> Trouble | None:
-    """No room for the amplitude, or the wrong mode."""
-    low, high = plan.co_levels(rest.co)
-    if not (plan.co_low <= low and high <= plan.co_high):
-        return AbortCause.NO_ROOM, (
-            f"co = {rest.co:.4g} % would go to {low:.4g} and {high:.4g} %, its range is "
-            f"{plan.co_low:g} to {plan.co_high:g} %"
-        )
-    if plan.kind == Experiment.SETPOINT and sample.mode != LoopMode.AUTO:
-        return AbortCause.WRONG_MODE, "a setpoint experiment needs auto, it is in manual"
-    return None
-
-
-def out_of_time(plan: Plan, relay: RelayState, excited_s: float) -> Trouble | None:
-    """The time limit of the excitation has passed."""
-    if excited_s <= plan.time_s:
-        return None
-    if plan.kind == Experiment.RELAY and relay.switches < 2:
-        return AbortCause.NEVER_SWITCHED, (
-            f"{plan.time_s:g} s for {relay.switches} switchings; are amplitude, bias and the "
-            "sign of the active gains right?"
-        )
-    return AbortCause.TIME, f"{plan.time_s:g} s; give more time, or a larger amplitude"
 
 
 class Following:
@@ -206,6 +175,19 @@ class ExperimentRunner:
             if refusal and self.phase in TAKING_OVER:
                 self.abort(AbortCause.REFUSED, refusal)
 
+    def conduct(self, turn: Callable[[], float], stopping: Callable[[], None] = lambda: None) -> None:
+        """Go on turn by turn until the old state is back; Ctrl-C is an abort like any other. turn : lets time pass; the
+        time in s. stopping : is called at Ctrl-C, before the way back begins.
+        """
+        while not self.phase.over:
+            try:
+                now_s = turn()
+                with unstoppable():
+                    self.poll(now_s)
+            except KeyboardInterrupt:
+                stopping()
+                self.abort(AbortCause.INTERRUPTED)
+
     def abort(self, cause: AbortCause, detail: str = "") -> None:
         """Leave for the old state; the first cause is the one that is told."""
         if self.phase.over:
@@ -271,29 +253,31 @@ class ExperimentRunner:
         self.samples.append(sample)
         if self._on_sample is not None:
             self._on_sample(sample, self.phase)
-        trouble = out_of_band(self.plan, sample) if self.phase in LIMITED else None
-        if trouble:
-            self.abort(*trouble)
+        low, high = self.plan.pv_low, self.plan.pv_high
+        if self.phase in LIMITED and not low <= sample.pv <= high:
+            self.abort(AbortCause.PV_BAND, f"pv = {sample.pv:.6g}, band {low:.6g} to {high:.6g}")
             return
-        work = {
-            Phase.CONNECTING: self._connect,
-            Phase.RESTING: self._wait_for_rest,
-            Phase.PREPARING: self._wait_for_control,
-            Phase.EXCITING: self._excite,
-            Phase.PARKING: self._park,
-            Phase.RESTORING: self._verify,
-        }.get(self.phase)
-        if work is not None:
-            work(sample)
-
-    def _connect(self, sample: LoopSample) -> None:  # noqa: ARG002  that there is one is what counts
-        """The first sample: heard, and what runs has been read back."""
-        if self.device.connected:
-            self.samples = self.samples[-1:]
-            self._move(Happening.CONNECTED)
+        shows = self._helm.shows(self._target(), sample)
+        match self.phase:
+            case Phase.CONNECTING if self.device.connected:  # heard, and what runs has been read back
+                self.samples = self.samples[-1:]
+                self._move(Happening.CONNECTED)
+            case Phase.RESTING:
+                self._wait_for_rest(sample)
+            case Phase.PREPARING if shows:
+                self._move(Happening.PREPARED)
+            case Phase.PREPARING if self._now_s - self._phase_s > self._patience_s:
+                self.abort(AbortCause.REFUSED, "it does not show what was commanded")
+            case Phase.EXCITING:
+                self._excite(sample)
+            case Phase.PARKING if not self._parking or sample.mode == LoopMode.AUTO or shows:
+                self._move(Happening.PARKED)  # the output is where it was, unless the controller has it already
+            case Phase.RESTORING:
+                self._shown = self._shown + 1 if shows else 0
+                if self._shown >= VERIFY_SAMPLES:
+                    self._move(Happening.VERIFIED)
 
     def _wait_for_rest(self, sample: LoopSample) -> None:
-        """Watch until pv rests; what is seen then is the state to come back to."""
         running = self.device.running
         if running is None:
             return
@@ -306,9 +290,14 @@ class ExperimentRunner:
         self.rest, self.plan = rest, self.plan.about(rest.pv)
         co = sample.co if sample.mode == LoopMode.MANUAL else rest.co
         self.before = OldState(running.gains, sample.sp, sample.mode, co)
-        trouble = cannot_begin(self.plan, rest, sample)
-        if trouble:
-            self.abort(*trouble)
+        low, high = self.plan.co_levels(rest.co)
+        if not (self.plan.co_low <= low and high <= self.plan.co_high):
+            levels = f"co = {rest.co:.4g} % would go to {low:.4g} and {high:.4g} %"
+            room = f"its range is {self.plan.co_low:g} to {self.plan.co_high:g} %"
+            self.abort(AbortCause.NO_ROOM, f"{levels}, {room}")
+            return
+        if self.plan.kind == Experiment.SETPOINT and sample.mode != LoopMode.AUTO:
+            self.abort(AbortCause.WRONG_MODE, "a setpoint experiment needs auto, it is in manual")
             return
         self._note(
             {
@@ -324,14 +313,7 @@ class ExperimentRunner:
         if self.lost_ledger is None:
             self._move(Happening.AT_REST)
 
-    def _wait_for_control(self, sample: LoopSample) -> None:
-        if self._helm.shows(self._target(), sample):
-            self._move(Happening.PREPARED)
-        elif self._now_s - self._phase_s > self._patience_s:
-            self.abort(AbortCause.REFUSED, "it does not show what was commanded")
-
     def _excite(self, sample: LoopSample) -> None:
-        """Play the experiment, and see whether it has shown enough or has to end."""
         plan, rest, before = self.plan, self.rest, self.before
         assert rest is not None
         assert before is not None
@@ -350,19 +332,14 @@ class ExperimentRunner:
             if enough(plan, since, rest, self._relay):
                 self._move(Happening.FINISHED)
                 return
-            trouble = out_of_time(plan, self._relay, len(since) * self._dt_s)
+            if len(since) * self._dt_s > plan.time_s:
+                trouble = AbortCause.TIME, f"{plan.time_s:g} s; give more time, or a larger amplitude"
+                if plan.kind == Experiment.RELAY and self._relay.switches < 2:
+                    why = "are amplitude, bias and the sign of the active gains right?"
+                    told = f"{plan.time_s:g} s for {self._relay.switches} switchings; {why}"
+                    trouble = AbortCause.NEVER_SWITCHED, told
         if trouble:
             self.abort(*trouble)
-
-    def _park(self, sample: LoopSample) -> None:
-        """Until the output is back where it was, unless the controller has the output already."""
-        if not self._parking or sample.mode == LoopMode.AUTO or self._helm.shows(self._target(), sample):
-            self._move(Happening.PARKED)
-
-    def _verify(self, sample: LoopSample) -> None:
-        self._shown = self._shown + 1 if self._helm.shows(self._target(), sample) else 0
-        if self._shown >= VERIFY_SAMPLES:
-            self._move(Happening.VERIFIED)
 
     def _target(self) -> Target:
         return target(self.phase, self.plan, self.before, self.rest, self._relay, parking=self._parking)

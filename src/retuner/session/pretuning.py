@@ -21,7 +21,6 @@ from retuner.experiment.runner import ExperimentRunner
 from retuner.experiment.target import DEFAULT_DEVIATION, DEFAULT_SAMPLES, DEFAULT_SHARE, REST_WAIT_SAMPLES
 from retuner.ledger import Recorder
 from retuner.session.ledger_rows import feed
-from retuner.stopping import unstoppable
 
 OrderTaker = Callable[[float], Iterable[Decision]]
 """What a session has: given the time of a sample, the decisions on what was ordered by then."""
@@ -35,7 +34,7 @@ class Pretuning:
     Raises UserError: a setting is out of its range.
     """
 
-    def __init__(self, config: Config, record: Recorder, tell: Callable[[str], None] | None = None) -> None:
+    def __init__(self, config: Config, record: Recorder, tell: Callable[[str], None]) -> None:
         self._config, self._record, self._tell = config, record, tell
         loop, dt = config.loop, config.loop.sample_time_s
         given = config.adaptation.pretune_step_pct
@@ -62,17 +61,12 @@ class Pretuning:
         Raises LedgerError: a row could not be kept; the old state came back first.
         Raises DeviceError: nobody answers, or the wrong controller does.
         """
-        conductor = ExperimentRunner(device, self._plan, self._config.loop.sample_time_s, silent_s, self._note)
-        while not conductor.phase.over:
-            try:
-                now_s = turn()
-                with unstoppable():
-                    conductor.poll(now_s)
-            except KeyboardInterrupt:
-                conductor.abort(AbortCause.INTERRUPTED)
-        self._ended(conductor)
 
-    def _ended(self, conductor: ExperimentRunner) -> None:
+        def note(kind: str, t_s: float, body: Mapping[str, object]) -> None:
+            self._record(kind, 0.0, {**body, "at_s": t_s})
+
+        conductor = ExperimentRunner(device, self._plan, self._config.loop.sample_time_s, silent_s, note)
+        conductor.conduct(turn)
         if conductor.lost_ledger is not None:
             raise conductor.lost_ledger
         if conductor.phase is Phase.STRANDED:
@@ -86,20 +80,13 @@ class Pretuning:
         if conductor.cause is not None and not conductor.touched:
             raise UserError(f"pretune: {conductor.text}; nothing was changed")
         if conductor.cause is not None:
-            self._say(f"pretune aborted: {conductor.text}; {conductor.phase.value}; the run continues without it")
+            self._tell(f"pretune aborted: {conductor.text}; {conductor.phase.value}; the run continues without it")
             return
         self._samples = conductor.excited
-        self._say(
+        self._tell(
             f"pretune: a step of {self._plan.amplitude:g} % of co, {len(self._samples)} samples; "
             f"{conductor.phase.value}"
         )
-
-    def _note(self, kind: str, t_s: float, body: Mapping[str, object]) -> None:
-        self._record(kind, 0.0, {**body, "at_s": t_s})
-
-    def _say(self, text: str) -> None:
-        if self._tell is not None:
-            self._tell(text)
 
     def decisions(self, retuner: Retuner, later: Callable[[float], Iterable[Decision]]) -> OrderTaker:
         """What the session asks at its samples: the decision on the record once, and whatever comes `later`."""
