@@ -16,10 +16,10 @@ from hypothesis import strategies as st
 from recorded import SHORT
 
 from retuner.cli import main
-from retuner.commands.run import LedgerSize
+from retuner.commands.run import size_watch
 from retuner.errors import LedgerError
 from retuner.ledger import Ledger, LedgerReader
-from retuner.ledger.canonical import canonical_json
+from retuner.ledger.chain import canonical_json
 from retuner.ledger.lock import WriterLock
 from retuner.ledger.store import BUSY_TIMEOUT_S, BUSY_TRIES
 from retuner.live_view.live_screen import LiveScreen
@@ -439,12 +439,12 @@ def test_truncated_files_are_refused(path: Path) -> None:
 def test_a_ledger_that_has_grown_is_told_once_and_stays_whole(tmp_path: Path) -> None:
     told: list[str] = []
     with Ledger(tmp_path / "ledger.sqlite") as ledger:
-        grown = LedgerSize(ledger, 0.2, told.append)
-        grown.look()
+        look = size_watch(ledger, 0.2, told.append)
+        look()
         assert told == []
         for number in range(40):
             ledger.append("decision", {"number": number, "reason": "x" * 8000}, float(number))
-            grown.look()
+            look()
         assert ledger.size_bytes() > 300_000
         assert ledger.verify().rows == 40
     assert len(told) == 1

@@ -5,7 +5,7 @@ form needs tau_I of at least four tau_D), the form becomes ideal, and that is to
 give the controller the very set: the same float32, or the same numbers of a device of its own kind.
 """
 
-from collections.abc import Callable, Iterator, Mapping, MutableMapping
+from collections.abc import Callable, Mapping, MutableMapping
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,6 @@ from retuner.config.described import vendor_units
 from retuner.config.loading import UnusableError, load_session, parse_session
 from retuner.drivers.protocol.checksum import to_wire
 from retuner.errors import UserError
-from retuner.schedule.controller_units import ControllerUnits, Dialled
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable
 from retuner.schedule.vendor_units import Quantity
@@ -60,7 +59,11 @@ def into_config(path: Path, table: GainTable) -> tuple[str, list[str]]:
         )
     try:
         document = tomlkit.parse(text)
-        regions = _regions(document, place if several else None)
+        holder: Mapping[str, Any] = document["loop"][place].get("schedule", {}) if several else document["schedule"]
+        if several and "region" not in holder:
+            where = "the regions stand at the top of the file for all loops"
+            raise UserError(f"{where}; give the loop a [loop.schedule] first")
+        regions = list[MutableMapping[str, Any]](holder["region"])
         told = [line for region in regions for line in _put(region, table, config, same)]
     except (TOMLKitError, KeyError, TypeError) as error:
         raise UserError(f"{path}: its regions cannot be found to be written: {error}") from None
@@ -92,16 +95,6 @@ def sameness(config: Config) -> Same:
     return same
 
 
-def _regions(document: Mapping[str, Any], loop: int | None) -> list[MutableMapping[str, Any]]:
-    """The tables [[schedule.region]], or the entries of the array; of one of several loops its own."""
-    if loop is None:
-        return list(document["schedule"]["region"])
-    own = document["loop"][loop].get("schedule", {})
-    if "region" not in own:
-        raise UserError("the regions stand at the top of the file for all loops; give the loop a [loop.schedule] first")
-    return list(own["region"])
-
-
 def _put(region: MutableMapping[str, Any], table: GainTable, config: Config, same: Same) -> list[str]:
     name = str(region["name"])
     units = config.units_in(next(one for one in config.schedule.regions if one.name == name))
@@ -110,8 +103,16 @@ def _put(region: MutableMapping[str, Any], table: GainTable, config: Config, sam
     if gains.kp == 0:
         raise UserError("a region has no proportional gain, which [[schedule.region]] cannot say")
     exact = units.numbers(gains)
-    own = units.of_region(units.dials, exact.form)
-    shown = next((short for short in _shortened(exact) if _makes(own, short, gains, same)), exact)
+    own, shown = units.of_region(units.dials, exact.form), exact
+    for digits in DIGITS:
+        gain, derivative = (float(f"{number:.{digits}g}") for number in (exact.gain, exact.derivative))
+        integral = None if exact.integral is None else float(f"{exact.integral:.{digits}g}")
+        try:
+            if same(own.gains(gain, integral, derivative), gains):
+                shown = exact._replace(gain=gain, integral=integral, derivative=derivative)
+                break
+        except ValueError:  # a rounded number may leave the form
+            continue
     before = [region.get(dial.key) for dial in units.dials]
     none = NO_INTEGRAL if units.dials[1].quantity is Quantity.TN else 0.0
     values = (shown.gain, none if shown.integral is None else shown.integral, shown.derivative)
@@ -124,27 +125,13 @@ def _put(region: MutableMapping[str, Any], table: GainTable, config: Config, sam
     if list(map(str, before)) == list(map(str, after)):
         return []
     one, two = (
-        " ".join(f"{dial.key} {_text(value or 0.0)}" for dial, value in zip(units.dials, values, strict=True))
+        " ".join(
+            f"{dial.key} {value}" if isinstance(value, str) else f"{dial.key} {value or 0.0:.4g}"
+            for dial, value in zip(units.dials, values, strict=True)
+        )
         for values in (before, after)
     )
     return [f"{name}: {one} -> {two} ({region.get('form', 'series')})"]
-
-
-def _shortened(exact: Dialled) -> Iterator[Dialled]:
-    for digits in DIGITS:
-        gain, derivative = (float(f"{number:.{digits}g}") for number in (exact.gain, exact.derivative))
-        yield exact._replace(
-            gain=gain,
-            integral=None if exact.integral is None else float(f"{exact.integral:.{digits}g}"),
-            derivative=derivative,
-        )
-
-
-def _makes(units: ControllerUnits, numbers: Dialled, gains: PidGains, same: Same) -> bool:
-    try:
-        return same(units.gains(numbers.gain, numbers.integral, numbers.derivative), gains)
-    except ValueError:  # a rounded number may leave the form
-        return False
 
 
 def _set(region: MutableMapping[str, Any], key: str, value: object) -> None:
@@ -155,7 +142,3 @@ def _set(region: MutableMapping[str, Any], key: str, value: object) -> None:
         item.trivia.comment_ws, item.trivia.comment = trivia.comment_ws, trivia.comment
         item.trivia.trail = trivia.trail
     region[key] = item
-
-
-def _text(value: object) -> str:
-    return f"{value:.4g}" if isinstance(value, int | float) else str(value)

@@ -8,7 +8,6 @@ from collections.abc import Iterable
 from retuner.schedule.controller_units import ControllerUnits
 from retuner.schedule.gains import PidGains, in_form
 from retuner.schedule.late_dataclass import dataclass
-from retuner.schedule.regions import Regions
 from retuner.schedule.table import GAIN_NAMES, GainTable, Lookup
 from retuner.schedule.vendor_units import SINGLE_MAX
 from retuner.templates import rendered
@@ -46,18 +45,21 @@ def numbers_of(table: GainTable) -> TableNumbers:
     regions = table.regions
     gains = tuple((g.kp, g.ki, g.kd) for g in table.gains)
     plain = len(regions.axes) == 1 and regions.axes[0].is_plain
-    axes = tuple(_axis(regions, i) for i in range(len(regions.axes)))
+    axes = tuple(
+        AxisNumbers(
+            label=axis.label,
+            unit=axis.unit,
+            bounds=law.bounds,
+            floors=law.floors,
+            ceilings=law.ceilings,
+            centres=tuple(axis.centre(part) for part in range(len(axis))),
+            filter_s=law.filter_s,
+            min_stay_s=law.min_stay_s,
+        )
+        for axis, law in ((axis, axis.law()) for axis in regions.axes)
+    )
     return TableNumbers(
         identifier(table.loop), axes, gains, regions.names, table.lookup is Lookup.INTERPOLATED, plain, table.revision
-    )
-
-
-def _axis(regions: Regions, i: int) -> AxisNumbers:
-    axis = regions.axes[i]
-    law = axis.law()
-    centres = tuple(axis.centre(part) for part in range(len(axis)))
-    return AxisNumbers(
-        axis.label, axis.unit, law.bounds, law.floors, law.ceilings, centres, law.filter_s, law.min_stay_s
     )
 
 
@@ -92,7 +94,11 @@ def csv_table(table: GainTable, units: ControllerUnits | None = None) -> str:
     """
     axes = range(len(table.regions.axes))
     heads = [part for i in axes for part in (f"low{i + 1}", f"high{i + 1}", f"unit{i + 1}")]
-    lines = [",".join(["region", *heads, *GAIN_NAMES, *_own_heads(units)])]
+    own = ["kc_ideal", "tau_i_s", "tau_d_s"]
+    if units is not None:  # word and unit of a controller's own numbers
+        dials = (dial for dial in units.dials if dial.label)
+        own = [f"{dial.label} [{dial.unit.strip()}]" if dial.unit else dial.label for dial in dials]
+    lines = [",".join(["region", *heads, *GAIN_NAMES, *own])]
     for r, (name, gains) in enumerate(zip(table.regions.names, table.gains, strict=True)):
         place: list[str] = []
         for i in axes:
@@ -101,13 +107,6 @@ def csv_table(table: GainTable, units: ControllerUnits | None = None) -> str:
         parallel = [repr(getattr(gains, gain)) for gain in GAIN_NAMES]
         lines.append(",".join([_cell(name), *place, *parallel, *_own(table.gains[r], units)]))
     return "\n".join(lines) + "\n"
-
-
-def _own_heads(units: ControllerUnits | None) -> list[str]:
-    """Heads of a controller's own numbers: word and unit."""
-    if units is None:
-        return ["kc_ideal", "tau_i_s", "tau_d_s"]
-    return [f"{dial.label} [{dial.unit.strip()}]" if dial.unit else dial.label for dial in units.dials if dial.label]
 
 
 def _own(gains: PidGains, units: ControllerUnits | None) -> list[str]:

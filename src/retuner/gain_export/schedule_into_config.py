@@ -55,7 +55,7 @@ def schedule_into(path: Path, table: GainTable, ran: Config, note: str, ended: G
     own = session.loops[place]
     if own.schedule.proposal == digest_of(table) and stands(own):
         raise UserError(f"{path}: has this schedule already; nothing is left to do")
-    differences = [*_differences(own, ran), *_edited(own, ran.gain_table(), ended)]
+    differences = list(_differences(own, ran, ended))
     if differences:
         raise UserError(f"{path}: {differences[0]}; a schedule goes only where its records came from")
     # A region that somebody holds would be let go with the section
@@ -83,7 +83,10 @@ def schedule_into(path: Path, table: GainTable, ran: Config, note: str, ended: G
     return written
 
 
-def _differences(config: Config, ran: Config) -> Iterator[str]:
+def _differences(config: Config, ran: Config, ended: GainTable | None) -> Iterator[str]:
+    """What is another in a configuration than it was in the session: of the loop, of its regions, and regions whose
+    gains somebody has changed since: they would go without a word.
+    """
     for key in SAME:
         here, there = getattr(config.loop, key), getattr(ran.loop, key)
         if here != there:
@@ -95,13 +98,9 @@ def _differences(config: Config, ran: Config) -> Iterator[str]:
         yield "its regions are of another variable or have other boundaries than those that the session ran"
     if here.lookup != there.lookup:
         yield f"schedule.lookup is {here.lookup}, the session ran with {there.lookup}"
-
-
-def _edited(config: Config, began: GainTable, ended: GainTable | None) -> Iterator[str]:
-    """Regions whose gains somebody has changed since: they would go without a word."""
     same = sameness(config)
-    for i, (name, gains) in enumerate(zip(began.regions.names, config.gains(), strict=False)):
-        known = [one.gains[i] for one in (began, ended) if one is not None and one.regions == began.regions]
+    for i, (name, gains) in enumerate(zip(there.regions.names, config.gains(), strict=False)):
+        known = [one.gains[i] for one in (there, ended) if one is not None and one.regions == there.regions]
         if not any(same(gains, one) for one in known):
             yield f"the gains of region {name!r} are neither those at the start of the session nor those at its end"
 

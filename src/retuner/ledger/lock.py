@@ -36,12 +36,8 @@ class WriterLock:
 
     def close(self) -> None:
         """Let go; more than once does no harm."""
-        release, self._release = self._release, _nothing
+        release, self._release = self._release, lambda: None
         release()
-
-
-def _nothing() -> None:
-    """Do nothing: there is nothing to release any more."""
 
 
 if sys.platform == "win32":
@@ -79,12 +75,15 @@ else:
                 os.close(handle)
                 raise
             if named:
-                return lambda: _release_flock(handle, lock)
+                break
             os.close(handle)
-        raise BlockingIOError
+        else:
+            raise BlockingIOError
 
-    def _release_flock(handle: int, lock: Path) -> None:
-        """Take the file away first: whoever opens it now makes a new one or finds that this one has lost its name."""
-        with contextlib.suppress(OSError):  # a folder that has become read-only keeps it; it does no harm
-            lock.unlink()
-        os.close(handle)
+        def release() -> None:
+            """Take the file away first: whoever opens it now makes a new one or finds that it has lost its name."""
+            with contextlib.suppress(OSError):  # a folder that has become read-only keeps it; it does no harm
+                lock.unlink()
+            os.close(handle)
+
+        return release

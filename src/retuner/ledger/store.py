@@ -12,13 +12,12 @@ import contextlib
 import sqlite3
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Protocol, Self
+from typing import Protocol
 
 from retuner.drivers.closing import Closes
 from retuner.errors import LedgerError
 from retuner.files import sync_folder
-from retuner.ledger.canonical import canonical_json
-from retuner.ledger.chain import ChainReport, Row, check_chain, next_row
+from retuner.ledger.chain import ChainReport, Row, canonical_json, check_chain, next_row
 from retuner.ledger.lock import WriterLock
 
 # ---- The ledger's SQLite file
@@ -210,11 +209,6 @@ class Ledger(LedgerReader):
         self._last, self._seq = report.head, report.rows
         self._failed = ""
 
-    @classmethod
-    def open(cls, path: str | Path) -> Self:
-        """A ledger, as Ledger(path) gives it."""
-        return cls(path)
-
     def append(self, kind: str, body: Mapping[str, object], clock_s: float) -> Row:
         """Write a row; it is on disk when this returns.
 
@@ -228,25 +222,20 @@ class Ledger(LedgerReader):
         if self._failed:
             raise LedgerError(f"{self.path}: refused, because an earlier row failed ({self._failed}); open it anew")
         row = next_row(self._last, self._seq + 1, clock_s, kind, canonical_json(body))
-        try:
-            self._insert(row)
-        except sqlite3.Error as error:
-            self._failed = str(error)
-            raise LedgerError(f"{self.path}: row {row.seq} cannot be written: {error}") from None
-        self._last, self._seq = row.hash, row.seq
-        return row
-
-    def _insert(self, row: Row) -> None:
-        """The row, once whoever else has locked the file lets go of it: as long as it is locked nothing is written."""
         columns = (row.seq, row.clock_s, row.kind, row.text, row.previous, row.hash)
-        for tries_left in reversed(range(BUSY_TRIES)):
+        for tries_left in reversed(range(BUSY_TRIES)):  # once whoever else has locked the file lets go of it
             try:
                 self._connection.execute("INSERT INTO ledger VALUES (?, ?, ?, ?, ?, ?)", columns)
-            except sqlite3.OperationalError as error:
-                if error.sqlite_errorcode & 0xFF != sqlite3.SQLITE_BUSY or not tries_left:
-                    raise
-            else:
-                return
+                break
+            except sqlite3.Error as error:
+                locked = (
+                    isinstance(error, sqlite3.OperationalError) and error.sqlite_errorcode & 0xFF == sqlite3.SQLITE_BUSY
+                )
+                if not locked or not tries_left:
+                    self._failed = str(error)
+                    raise LedgerError(f"{self.path}: row {row.seq} cannot be written: {error}") from None
+        self._last, self._seq = row.hash, row.seq
+        return row
 
     def close(self) -> None:
         """Close the file and let another process write; more than once does no harm.

@@ -97,12 +97,10 @@ def write_trend(stem: Path, trend: Trend, kind: str) -> Path:
         parquet.write_table(pa.table(trend.columns()), sink)
         write_whole(path, bytes(sink.getvalue()))
     else:
-        whole = [name in WHOLE for name in trend.names]
-        lines = (",".join(map(_text, row, whole)) for row in trend.rows)
+        whole = [name in WHOLE for name in trend.names]  # each number reads back the same
+        texts = (
+            (str(int(x)) if is_whole else repr(x) for x, is_whole in zip(row, whole, strict=True)) for row in trend.rows
+        )
+        lines = map(",".join, texts)
         write_whole(path, "\n".join((",".join(trend.names), *lines)) + "\n")
     return path
-
-
-def _text(value: float, whole: bool) -> str:
-    """A number as it reads back the same."""
-    return str(int(value)) if whole else repr(value)
