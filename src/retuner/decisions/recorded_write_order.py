@@ -1,14 +1,13 @@
 """Chooses the order in which a controller that swaps nothing at once is written, and keeps why in the ledger."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 
-from retuner.adaptive.guard.write_order import ChosenWay, gentlest_way, proved_way
+from retuner.adaptive.guard.write_order import gentlest_way, proved_way
 from retuner.adaptive.supervision.known_processes import still_allowed
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.drivers.device import WriteRefusedError
-from retuner.schedule.gains import PidGains
-from retuner.schedule.vendor_units import VendorUnits, Way
+from retuner.schedule.vendor_units import VendorUnits
 
 Record = Callable[[str, float, Mapping[str, object]], None]  # what keeps a row for good: its kind, the time, the body
 
@@ -30,11 +29,24 @@ class OrderOfWrites:
 
         Raises WriteRefusedError: no order is proved, and this is neither the way back nor accepted by the user.
         """
-        ways = list(self._units.ways(old, new))
-        proved = self._proved(ways, (self._units.of(old), self._units.of(new)))
+        ways, s = list(self._units.ways(old, new)), self._retuner.settings
+        region, proved = self._retuner.region, None
+        known = None if region is None else self._retuner.region_models.get(region)
+        if region is not None:
+            models = () if known is None else still_allowed(known, self._now(), s)
+            ends = self._units.of(old), self._units.of(new)
+            proved = proved_way(ways, ends, models, s.sample_time_s, s.guard.ms_worst, s.filter_s)
         chosen = proved or (gentlest_way(ways) if back or self._unproved else None)
+        if chosen is None and known is not None:
+            raise WriteRefusedError(
+                f"the controller takes the gains in several messages; in none of {len(ways)} orders is every step "
+                f"proved (Ms at most {s.guard.ms_worst:g} on every plausible model)"
+            )
         if chosen is None:
-            raise WriteRefusedError(self._why(ways))
+            raise WriteRefusedError(
+                "the controller takes the gains in several messages, and no model of this region proves the steps "
+                'between; accept that by name: [device] accept = ["unproved_order"]'
+            )
         body = {
             "messages": list(chosen.messages),
             "proved": proved is not None,
@@ -42,24 +54,3 @@ class OrderOfWrites:
         }
         self._record("order_of_writes", self._now(), body)
         return chosen.messages
-
-    def _proved(self, ways: Sequence[Way], ends: tuple[PidGains, PidGains]) -> ChosenWay | None:
-        retuner, s = self._retuner, self._retuner.settings
-        region = retuner.region
-        if region is None:
-            return None
-        known = retuner.region_models.get(region)
-        models = () if known is None else still_allowed(known, self._now(), s)
-        return proved_way(ways, ends, models, s.sample_time_s, s.guard.ms_worst, s.filter_s)
-
-    def _why(self, ways: Sequence[Way]) -> str:
-        region = self._retuner.region
-        if region is not None and region in self._retuner.region_models:
-            return (
-                f"the controller takes the gains in several messages; in none of {len(ways)} orders is every step "
-                f"proved (Ms at most {self._retuner.settings.guard.ms_worst:g} on every plausible model)"
-            )
-        return (
-            "the controller takes the gains in several messages, and no model of this region proves the steps between; "
-            'accept that by name: [device] accept = ["unproved_order"]'
-        )

@@ -76,20 +76,16 @@ class _Worker:
         code = self.process.poll()
         self.process.kill()
         self._questions.put(None)
-        return "" if code is None else _ended(code)
+        if code is None:
+            return ""
+        if code >= 0:
+            return f"ended with status {code}"
+        named = -code in set(signal.Signals)
+        return f"was killed by {signal.Signals(-code).name if named else f'signal {-code}'}"
 
     def join(self) -> None:
         """Wait until a process that was ended is gone."""
         self._courier.join(END_S)
-
-
-def _ended(code: int) -> str:
-    if code >= 0:
-        return f"ended with status {code}"
-    try:
-        return f"was killed by {signal.Signals(-code).name}"
-    except ValueError:
-        return f"was killed by signal {-code}"
 
 
 class DecideInWorker(Closes):
@@ -167,7 +163,6 @@ class DecideInWorker(Closes):
         return without_decision(LOST, f"the worker {how} while it made a decision, and was started anew")
 
     def _start(self) -> None:
-        """Begin a worker; it imports what it needs meanwhile."""
         try:
             self._worker = _Worker(self._nice, self._memory_bytes)
         except (OSError, RuntimeError) as error:  # RuntimeError: no thread can be started

@@ -216,7 +216,6 @@ class DecideAmong:
         return waited
 
     def _in_place_of(self, answer: Answer) -> Answer | None:
-        """What is entered for an answer that changes gains; None for itself."""
         proof, reason = answer.result.proof, answer.result.reason
         held = reason if answer.result.code == NOT_SURVIVED or reason.startswith(IN_PART) else ""
         if self._spoilt and held:

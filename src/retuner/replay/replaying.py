@@ -10,7 +10,7 @@ it did then; and it says the time of the last one, so a log that lacks frames is
 
 import itertools
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from itertools import islice, takewhile
 from pathlib import Path
 from typing import Any
@@ -137,7 +137,19 @@ class Replay:
             return result
         try:
             self._rows_here()
-            self._take_frames()
+            for message in read_parts(log):
+                joined = self._heard.take(message)
+                if joined is None:
+                    continue
+                # where the ledger ends the session ended; what came later was heard by nobody
+                if self._next >= len(self._rows):
+                    break
+                result.samples += 1
+                self._t_s = joined.sample.t_s
+                self._decided(self._observe(joined.sample))
+                self._rows_here()
+                if not result.agrees:
+                    break
         except RecordingError as error:
             result.stopped = str(error)
         if result.agrees and isinstance(self._heard, Notes) and not result.samples:
@@ -149,20 +161,6 @@ class Replay:
                 f"{row.body.get('samples')}{self._log_trouble()}"
             )
         return result
-
-    def _take_frames(self) -> None:
-        for message in read_parts(self._session.bus_log):
-            joined = self._heard.take(message)
-            if joined is None:
-                continue
-            if self._next >= len(self._rows):  # the session ended here; what came later was heard by nobody
-                return
-            self._result.samples += 1
-            self._t_s = joined.sample.t_s
-            self._decided(self._observe(joined.sample))
-            self._rows_here()
-            if not self._result.agrees:
-                return
 
     def _observe(self, sample: LoopSample) -> Decision | None:
         """Take a sample as the session did: a question was answered at once, unless a row here says that it was not."""
@@ -180,7 +178,9 @@ class Replay:
 
     def _rows_here(self) -> None:
         """The rows that were written after this sample and before the next one."""
-        for row in self._at(self._result.samples):
+        while self._next < len(self._rows) and self._rows[self._next].body.get("samples") == self._result.samples:
+            row = self._rows[self._next]
+            self._next += 1
             if row.clock_s != self._t_s:
                 self._result.stopped = (
                     f"{self._session.bus_log}: lacks frames: row {row.seq} of the ledger stands after sample "
@@ -209,11 +209,6 @@ class Replay:
         if self._waiting:
             made = self._waiting[0]
             self._result.difference = Difference(made.number, None, "", MISSING, made.reason)
-
-    def _at(self, samples: int) -> Iterator[Row]:
-        while self._next < len(self._rows) and self._rows[self._next].body.get("samples") == samples:
-            self._next += 1
-            yield self._rows[self._next - 1]
 
     def _compare(self, row: Row) -> None:
         """A decision of the ledger with the one that was made again in its place."""

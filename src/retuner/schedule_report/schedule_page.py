@@ -15,8 +15,6 @@ from retuner.decision_page.drawing_style import BANDS, FAINT, FIXED, MARK, PV, S
 from retuner.decision_page.shown_units import chosen_units
 from retuner.decision_page.svg import settings, svg
 from retuner.schedule.config_section import schedule_section
-from retuner.schedule.controller_units import ControllerUnits
-from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import CAN
 from retuner.schedule.table import GainTable, Lookup
 from retuner.scheduling import ScheduleDesign
@@ -276,7 +274,6 @@ def _parameter(found: ScheduleDesign, name: str, x: FloatArray, x2: float | None
 
 
 def _gains(axes: "Axes", found: ScheduleDesign) -> None:
-    """Kc and tau_I over the variable: the table's, every place's own, and those in force before."""
     x = np.linspace(found.places[0].x, found.places[-1].x, FINE)
     middle = found.slices[len(found.slices) // 2]
     known = [place for place in found.places if place.known and place.x2 == middle]
@@ -367,16 +364,11 @@ def page(found: ScheduleDesign, windows: Sequence[Window], name: str) -> str:
 
 
 def _sets(table: GainTable) -> tuple[Sequence[str], Sequence[Sequence[str]]]:
-    units = chosen_units()
-    rows = [
-        (name, table.regions.text(i), *_dialled(gains, units), f"{gains.kp:.5g}, {gains.ki:.5g}, {gains.kd:.5g}")
-        for i, (name, gains) in enumerate(zip(table.regions.names, table.gains, strict=True))
-    ]
-    dialled = ("Kc", "tau_I [s]") if units is None else (units.heads,)
-    return ("region", "range", *dialled, "kp, ki, kd (parallel)"), rows
-
-
-def _dialled(gains: PidGains, units: ControllerUnits | None) -> tuple[str, ...]:
-    if units is not None:
-        return (units.short(gains),)
-    return f"{gains.kp:.4g}", f"{gains.kp / gains.ki:.4g}" if gains.ki else "none"
+    units, rows = chosen_units(), []
+    heads = ("Kc", "tau_I [s]") if units is None else (units.heads,)
+    for i, (name, gains) in enumerate(zip(table.regions.names, table.gains, strict=True)):
+        tau_i = f"{gains.kp / gains.ki:.4g}" if gains.ki else "none"
+        dialled = (f"{gains.kp:.4g}", tau_i) if units is None else (units.short(gains),)
+        parallel = f"{gains.kp:.5g}, {gains.ki:.5g}, {gains.kd:.5g}"
+        rows.append((name, table.regions.text(i), *dialled, parallel))
+    return ("region", "range", *heads, "kp, ki, kd (parallel)"), rows
