@@ -6,7 +6,7 @@ import numpy as np
 
 from retuner.adaptive.choice.foreseen import Foreseen, weighed_models
 from retuner.adaptive.loop.margins import sensitivity_peak
-from retuner.adaptive.loop.replayed import MOST_MODELS, BeforeAfter, before_after, spread
+from retuner.adaptive.loop.replayed import MOST_MODELS, spread
 from retuner.adaptive.loop.simulate import step_response
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import Window
@@ -38,11 +38,6 @@ class ShownChange:
     recommended: PidGains
     co_limits: tuple[float | None, float | None]
 
-    @property
-    def found(self) -> BeforeAfter:
-        """The record before and after, on each process."""
-        return before_after(self.window, self.processes, self.recommended, self.co_limits, self.active)
-
 
 def change_words(foreseen: Foreseen | None) -> str:
     """What the replay says."""
@@ -55,29 +50,28 @@ def change_words(foreseen: Foreseen | None) -> str:
 
 def step_words(change: ShownChange) -> str:
     """What the change does to a setpoint step and to Ms, on the best model."""
-    sets = [gains for gains in (change.active, change.recommended) if gains is not None]
+    figures: list[tuple[str, str, str]] = []  # overshoot, settling time and Ms in words, by set
     until_s = settling_s(change.seen, change.recommended)
-    figures = zip(*(_step_figures(change.seen, gains, until_s) for gains in sets), strict=True)
+    for gains in (change.active, change.recommended):
+        if gains is None:
+            continue
+        peak = sensitivity_peak(change.seen, gains)
+        if math.isinf(peak):
+            figures.append(("without end", "never", "unstable"))
+            continue
+        filter_s = gains.kd / gains.kp / 10.0 if gains.kp else 0.0
+        settling, over = f"over {brief(LONGER[-1] * until_s)} s", 0.0
+        for times in LONGER:
+            found = step_response(change.seen, gains, times * until_s, filter_s)
+            over = max(over, float(np.max(found.pv)) - 1.0)
+            away = np.flatnonzero(np.abs(found.pv - 1.0) > WITHIN)
+            if not len(away) or found.t[away[-1]] < SURE * times * until_s:
+                settling = f"{brief(float(found.t[away[-1]]) if len(away) else 0.0)} s"
+                break
+        figures.append((f"{100.0 * over:.0f} %", settling, f"{peak:.2f}"))
     titles = ("overshoot", "settles in", "Ms")
-    return ", ".join(f"{title} {' -> '.join(each)}" for title, each in zip(titles, figures, strict=True))
-
-
-def _step_figures(process: LinearProcess, gains: PidGains, until_s: float) -> tuple[str, str, str]:
-    """A setpoint step in words: overshoot, settling time; and the loop's Ms."""
-    peak = sensitivity_peak(process, gains)
-    if math.isinf(peak):
-        return "without end", "never", "unstable"
-    filter_s = gains.kd / gains.kp / 10.0 if gains.kp else 0.0
-    settling = f"over {brief(LONGER[-1] * until_s)} s"
-    over = 0.0
-    for times in LONGER:
-        found = step_response(process, gains, times * until_s, filter_s)
-        over = max(over, float(np.max(found.pv)) - 1.0)
-        away = np.flatnonzero(np.abs(found.pv - 1.0) > WITHIN)
-        if not len(away) or found.t[away[-1]] < SURE * times * until_s:
-            settling = f"{brief(float(found.t[away[-1]]) if len(away) else 0.0)} s"
-            break
-    return f"{100.0 * over:.0f} %", settling, f"{peak:.2f}"
+    each = zip(*figures, strict=True)
+    return ", ".join(f"{title} {' -> '.join(texts)}" for title, texts in zip(titles, each, strict=True))
 
 
 def settling_s(process: LinearProcess, gains: PidGains) -> float:

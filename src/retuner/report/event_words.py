@@ -33,27 +33,13 @@ def _count(body: Document, name: str) -> int:
     return int(number(body, name) or 0)
 
 
-def _foreign(body: Document) -> str:
-    gains = gains_of(part(body, "gains"))
-    return "gains changed by someone else" + (f": {settings_text(gains)}" if gains else "")
-
-
-def _bus(body: Document) -> str:
-    times = int(number(body, "times") or 1)
-    return f"bus fault: {words(body, 'fault')}{f' ({times} times)' * (times > 1)}"
-
-
-def _regions(what: str) -> Callable[[Document], str]:
-    def told(body: Document) -> str:
-        found = body.get("regions")
-        names = ", ".join(map(str, found)) if isinstance(found, list | tuple) else ""
-        return _because(f"{what}: {names}" if names else what, body)
-
-    return told
+def _unrestored(body: Document) -> str:
+    found, what = body.get("regions"), "gains not known to be active"
+    names = ", ".join(map(str, found)) if isinstance(found, list | tuple) else ""
+    return _because(f"{what}: {names}" if names else what, body)
 
 
 def _restored(body: Document) -> str:
-    """What runs, and what stands in the table of regions where the loop is not."""
     found, waiting = body.get("regions"), part(body, "waits")
     active = [str(name) for name in found if name not in waiting] if isinstance(found, list | tuple) else []
     told = [f"gains read back and active: {', '.join(active)}"] if active else []
@@ -77,16 +63,21 @@ EVENTS: dict[str, Callable[[Document], str]] = {
     "command": _after("command {command} failed"),
     "worker": _after("decision process"),
     "unknown": _after("write not confirmed"),
-    "foreign": _foreign,
+    "foreign": lambda body: (
+        "gains changed by someone else"
+        + (f": {settings_text(gains)}" if (gains := gains_of(part(body, "gains"))) else "")
+    ),
     "action": _after("ALARM"),
     "dropped": _after("change not written, region {region}"),
-    "bus": _bus,
+    "bus": lambda body: (
+        f"bus fault: {words(body, 'fault')}" + (f" ({times} times)" if (times := _count(body, "times")) > 1 else "")
+    ),
     "variable": _after("scheduling variable {name}"),
     "abort": _after("trial interrupted"),
     "restored": _restored,
     "trial": lambda body: f"trial: {reason}" if (reason := words(body, "reason")) else "",
     "lockout": lambda body: f"region {words(body, 'region')} locked after {_count(body, 'undos')} rollbacks",
-    "unrestored": _regions("gains not known to be active"),
+    "unrestored": _unrestored,
     "order": _request,
     "bump": lambda body: words(body, "reason"),
     "nudge": lambda body: words(body, "reason"),  # in older ledgers

@@ -126,7 +126,15 @@ class Teller:
             self._open[where] = f"decision {int(number(body, 'number') or 0)}"
         elif kind == "committed" or (kind == "decision" and words(body, "code") == EDITED):
             self._open.pop(where, None)
-        head = kind, _who(kind, body), words(body, "loop"), words(body, "region")
+        if kind == "order":
+            who = words(body, "by") or "a request file"
+        elif kind in {"intent", "committed", "refused"}:
+            who = SCHEDULE if words(body, "why") == "schedule" else RETUNER
+        elif kind == "decision" and words(body, "code") in BY_ORDER:
+            who = "an operator"
+        else:
+            who = BY.get(kind, PROGRAM)
+        head = kind, who, words(body, "loop"), words(body, "region")
         return LedgerLine(row.seq, row.clock_s, *map(one_line, (*head, *texts)))
 
     def _decision(self, digest: str, where: tuple[str, str]) -> str:
@@ -138,16 +146,6 @@ class Teller:
 def told(rows: Iterable[Row]) -> list[LedgerLine]:
     """The rows of a ledger in words, all from the first."""
     return list(map(Teller().told, rows))
-
-
-def _who(kind: str, body: Document) -> str:
-    if kind == "order":
-        return words(body, "by") or "a request file"
-    if kind in {"intent", "committed", "refused"}:
-        return SCHEDULE if words(body, "why") == "schedule" else RETUNER
-    if kind == "decision" and words(body, "code") in BY_ORDER:
-        return "an operator"
-    return BY.get(kind, PROGRAM)
 
 
 class Words(NamedTuple):
@@ -229,22 +227,19 @@ def _trial(body: Document) -> Words:
 
 
 def _judged(body: Document) -> Words:
-    """A response that was judged against the promise, and what that means for the change."""
     reason, said = words(body, "reason"), body.get("said")
     if isinstance(said, list) and len(said) == 2 and reason and reason in said[1]:
         reason = f"why: {said[0]}"
-    return Words(f"the trial of {words(body, 'on_trial') or 'a change'} {_outcome(body)}", verdict=reason)
-
-
-def _outcome(body: Document) -> str:
     finding, phase = words(body, "finding"), words(body, "trial")
     if phase == TrialPhase.WAITING:
-        return "is over: it awaits operator approval"
-    if finding == TrialFinding.WORSE.name.lower():
-        return "has failed"
-    if phase in UNDECIDED and phase != TrialPhase.WRITING:
-        return "goes on"
-    return "has passed" if finding in PASSING else "is over without a verdict"
+        outcome = "is over: it awaits operator approval"
+    elif finding == TrialFinding.WORSE.name.lower():
+        outcome = "has failed"
+    elif phase in UNDECIDED and phase != TrialPhase.WRITING:
+        outcome = "goes on"
+    else:
+        outcome = "has passed" if finding in PASSING else "is over without a verdict"
+    return Words(f"the trial of {words(body, 'on_trial') or 'a change'} {outcome}", verdict=reason)
 
 
 PASSING = {finding.name.lower() for finding in (TrialFinding.BETTER, TrialFinding.AS_PROMISED)}
@@ -255,14 +250,11 @@ def _session(body: Document) -> Words:
     made_with = ", ".join(f"{name} {version}" for name, version in part(body, "versions").items())
     config = part(body, "config")
     loops = [words(part(one, "loop"), "name") for one in (parts(config, "loops") or [config])]
-    taken_up = "; ".join(map(_taken_up, parts(body, "schedules")))
-    return Words(f"begins: {', '.join(loops)}", evidence=made_with, verdict=taken_up)
-
-
-def _taken_up(schedule: Document) -> str:
-    """A schedule that a session proposed, and this one runs."""
-    standing = "as proposed" if schedule.get("as_proposed") is True else "edited since"
-    return f"{words(schedule, 'loop')}: schedule of proposal {words(schedule, 'hash')[:8]}, {standing}"
+    taken_up = []  # schedules that a session proposed, and this one runs
+    for schedule in parts(body, "schedules"):
+        standing = "as proposed" if schedule.get("as_proposed") is True else "edited since"
+        taken_up.append(f"{words(schedule, 'loop')}: schedule of proposal {words(schedule, 'hash')[:8]}, {standing}")
+    return Words(f"begins: {', '.join(loops)}", evidence=made_with, verdict="; ".join(taken_up))
 
 
 def _event(body: Document) -> Words:
@@ -275,7 +267,6 @@ def _event(body: Document) -> Words:
 
 
 def _end(body: Document) -> Words:
-    """How the run came to its end, and the log that belongs to it."""
     how = "the run was stopped" if body.get("interrupted") is True else "the run is complete"
     log = words(body, "bus_log")
     return Words(how, evidence=f"bus log {log}, SHA-256 {words(body, 'bus_log_sha256')}" if log else "")
@@ -290,7 +281,6 @@ def _order_of_writes(body: Document) -> Words:
 
 
 def _other(body: Document) -> Words:
-    """Any other row: its reason, and what else it says."""
     plain = {key: value for key, value in body.items() if isinstance(value, str | int | float)}
     plain |= {key: ", ".join(map(str, value)) for key, value in body.items() if isinstance(value, list)}
     more = ", ".join(f"{key} {value}" for key, value in plain.items() if key not in HIDDEN)

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
+from retuner.adaptive.loop.replayed import before_after
 from retuner.adaptive.loop.simulate import step_response
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import FloatArray
@@ -57,7 +58,7 @@ def change_into(figure: Figure, grid: "GridSpec", change: ShownChange) -> None:
     top = figure.add_subplot(grid[0, 0])
     # The record, and the same with the new settings, with the band over the models
     low = figure.add_subplot(grid[1, 0], sharex=top)
-    found = change.found
+    found = before_after(change.window, change.processes, change.recommended, change.co_limits, change.active)
     x, unit = time_axis(found.record.t_s)
     for axes, name, before in ((top, "pv", found.record.pv), (low, "co", found.record.co)):
         axes.plot(x, before, color=FIXED, lw=0.9, label="as recorded")

@@ -99,7 +99,6 @@ def record_figure(picture: RecordPicture) -> Figure:
 
 
 def _over_time(picture: RecordPicture, panels: tuple["Axes", "Axes", "Axes"]) -> None:
-    """pv, co and the remainder, one below the other over one time axis."""
     top, middle, bottom = panels
     x, unit = time_axis(picture.window.t_s)
     # pv, setpoint, and the explanations of pv
@@ -113,7 +112,6 @@ def _over_time(picture: RecordPicture, panels: tuple["Axes", "Axes", "Axes"]) ->
         place = np.interp(curve.t_s, window.t_s, x)
         top.plot(place, curve.pv, color=MODEL if believed else FAINT, lw=1.3 if believed else 1.0, label=curve.name)
     top.set_ylabel("pv, sp")
-    _legend(top)
     # co with its limits where it comes near them
     co = picture.window.co
     middle.plot(x, co, color=PV, lw=0.9, drawstyle="steps-post")
@@ -134,24 +132,15 @@ def _over_time(picture: RecordPicture, panels: tuple["Axes", "Axes", "Axes"]) ->
     bottom.axhspan(-2 * picture.noise_std, 2 * picture.noise_std, color=MODEL, alpha=0.2, lw=0)
     bottom.axhline(0, color=FAINT, lw=0.8)
     floors(top, middle, picture.window.pv)
-    _events(picture, x, (top, middle, bottom))
+    for j, t_s in enumerate(picture.loads_s):
+        place = float(np.interp(t_s, picture.window.t_s, x))
+        for axes in (top, middle, bottom):
+            axes.axvline(place, color=MARK, lw=0.9, ls="--", label="load step" if not j else None)
+    # the names of the curves above them, where they hide nothing
+    top.legend(loc="lower right", bbox_to_anchor=(1.0, 0.985), fontsize=9, frameon=False, ncols=6)
     for axes in (top, middle):
         axes.tick_params(labelbottom=False)
     for axes in (top, middle, bottom):
         axes.margins(x=0)
         axes.grid(alpha=0.3)
     bottom.set_xlabel(f"time [{unit}]")
-
-
-def _legend(axes: "Axes") -> None:
-    """Names of the curves above them, where they hide nothing."""
-    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.985), fontsize=9, frameon=False, ncols=6)
-
-
-def _events(picture: RecordPicture, x: FloatArray, panels: Sequence["Axes"]) -> None:
-    for j, t_s in enumerate(picture.loads_s):
-        for axes in panels:
-            place = float(np.interp(t_s, picture.window.t_s, x))
-            axes.axvline(place, color=MARK, lw=0.9, ls="--", label="load step" if not j else None)
-    if picture.loads_s:
-        _legend(panels[0])

@@ -13,7 +13,7 @@ from retuner.adaptive.signals.sample import FloatArray
 from retuner.adaptive.supervision.decision import Decision
 from retuner.decision_page.decision_document import Explained, Linked, Toned, article
 from retuner.decision_page.decision_sentences import MS_LIMIT, ms_text
-from retuner.decision_page.decision_view import DecisionView, view_of, what_came_of, worth_pages
+from retuner.decision_page.decision_view import view_of, what_came_of, worth_pages
 from retuner.decision_page.decision_words import (
     cause_text,
     change_text,
@@ -62,32 +62,27 @@ class RegionNow:
 
 def regions_now(names: Sequence[str], decisions: Sequence[Document]) -> list[RegionNow]:
     """Every region in the order of the table."""
-    return [_region(name, [one for one in decisions if words(one, "region") == name]) for name in names]
-
-
-def _region(name: str, own: list[Document]) -> RegionNow:
-    known = next(
-        (
-            one
-            for one in reversed(own)
-            if decided_on(one) is not None and (number(one, "records") or part(one, "known"))
-        ),
-        {},
-    )
-    judged = next((one for one in reversed(own) if part(one, "diagnosis")), {})
-    changed = [one for one in own if words(one, "action") == "commit"]
-    last = own[-1] if own else {}
-    return RegionNow(
-        name,
-        len(own),
-        len(changed),
-        sum(map(rolls_back, own)),
-        _now(judged, last),
-        model_text(known) if known else "",
-        bool(changed) and words(changed[-1], "basis") == BORROWED,
-        _standing(last),
-        words(last, "mode"),
-    )
+    found = []
+    for name in names:
+        own = [one for one in decisions if words(one, "region") == name]
+        newest = reversed([one for one in own if decided_on(one) is not None])
+        known = next((one for one in newest if number(one, "records") or part(one, "known")), None)
+        judged = next((one for one in reversed(own) if part(one, "diagnosis")), {})
+        changed = [one for one in own if words(one, "action") == "commit"]
+        last = own[-1] if own else {}
+        now = RegionNow(
+            name=name,
+            seen=len(own),
+            changes=len(changed),
+            rolled_back=sum(map(rolls_back, own)),
+            cause=_now(judged, last),
+            process=model_text(known) if known else "",
+            borrowed=bool(changed) and words(changed[-1], "basis") == BORROWED,
+            trial=_standing(last),
+            mode=words(last, "mode"),
+        )
+        found.append(now)
+    return found
 
 
 def _now(judged: Document, last: Document) -> str:
@@ -115,40 +110,20 @@ def overview(table: GainTable, decisions: Sequence[Document], advice: Sequence[s
 
     advice : sentences that propose to split or merge regions.
     """
-    rows = [
-        (now.name, f"{now.seen}", now.process or "nothing yet", now.cause, _marks(now))
-        for now in regions_now(table.regions.names, decisions)
-    ]
-    return {"rows": rows, "advice": advice, "grid": _grid(table)}
-
-
-def _marks(now: RegionNow) -> str:
-    told = [
-        f"mode {now.mode}" if now.mode else "",
-        now.trial if now.trial != IDLE else "",
-        "settings from a neighbouring region's model" if now.borrowed else "",
-        f"{now.rolled_back} rolled back" if now.rolled_back else "",
-    ]
-    return ", ".join(one for one in told if one)
-
-
-def _grid(table: GainTable) -> tuple[Sequence[str], Sequence[Sequence[str]]] | None:
-    """Settings by cell, the first variable down and the second across; nothing for one variable."""
-    regions = table.regions
+    rows, regions = [], table.regions
+    for now in regions_now(regions.names, decisions):
+        marks = [f"mode {now.mode}"] * bool(now.mode) + [now.trial] * (now.trial != IDLE)
+        marks += ["settings from a neighbouring region's model"] * now.borrowed
+        marks += [f"{now.rolled_back} rolled back"] * bool(now.rolled_back)
+        rows.append((now.name, f"{now.seen}", now.process or "nothing yet", now.cause, ", ".join(filter(None, marks))))
     if len(regions.axes) < 2:
-        return None
+        return {"rows": rows, "advice": advice, "grid": None}
+    # settings by cell, the first variable down and the second across
     down, across = regions.axes
     heads = (f"{down.label} \\ {across.label}", *(across.text(j) for j in range(len(across))))
-    return heads, [
-        (
-            down.text(i),
-            *(
-                f"{regions.names[at]}: {settings_text(table.gains_of(at), table.loop)}"
-                for at in range(i * len(across), (i + 1) * len(across))
-            ),
-        )
-        for i in range(len(down))
-    ]
+    cells = [f"{name}: {settings_text(table.gains_of(name), table.loop)}" for name in regions.names]
+    grid = [(down.text(i), *cells[i * len(across) : (i + 1) * len(across)]) for i in range(len(down))]
+    return {"rows": rows, "advice": advice, "grid": (heads, grid)}
 
 
 SAME_GAINS = 1e-4  # relative difference up to which gains of a trend are those of the table (the wire rounds them)
@@ -197,7 +172,50 @@ def render(data: ReportData) -> str:
         told = of_region(data.run, i, [one for one in documents if words(one, "region") == name], sets, data.ms_limit)
         panels += [(name, told)] if told is not None else []
     units = units_of(data.loop)
-    # the result in a few sentences
+    # not every decision that has reasons has a page
+    left = f" The newest {MOST_PAGES} have one; `retuner report FOLDER --decision N` makes any other."
+    left *= len(views) == MOST_PAGES
+    # the heading of a page is seen when its row's link is followed, and on paper
+    pages = [
+        (one.number, f"Decision {one.number}: {words(one.document, 'region')} at {in_full(one.t_s)} s", article(one))
+        for one in views
+    ]
+    # the same step before and after, of each region whose gains or table changed
+    still = {one.region for one in data.scores if not one.changes and one.before == one.after}
+    names = data.after.regions.names
+    twins = [
+        twin_svg(data.run, data.fixed, twin, names[twin.region], data.unit, commissioned=as_commissioned(data, twin))
+        for twin in twin_steps(data.run, data.events)
+        if names[twin.region] not in still
+    ]
+    return rendered(
+        "report.html.jinja",
+        title=f"{data.loop}: retuning report",
+        panel_style=panel_style(),
+        trend=trend_svg(data.run, data.fixed, marks_of(data, documents), data.after.regions, data.unit),
+        lead=_result_in_words(data, documents),
+        scores=_scores_table(data, documents),
+        scores_note=(
+            f"Settings in {units.form} form unless marked. Ms is the peak of the sensitivity on the simulated process, "
+            f"the largest over the operating points visited; the limit is {data.ms_limit:g}."
+        ),
+        regions=overview(data.after, documents, data.advice),
+        twins=twins,
+        twins_note="" if data.fixed is not None else "There was no run with fixed gains to compare with.",
+        what_if=what_if_section(
+            panels, {"controller": units.name, "span": units.pv_span, "sets": ["final", "baseline"]}
+        ),
+        decisions_note=(
+            "One row per recognised response; rows that write or propose gains are shaded. A number with a link opens "
+            f"the full reasoning below the table.{left}"
+        ),
+        decisions=_decisions_table(documents, {view.number for view in views}, data.run["t"]),
+        pages=pages,
+        facts=data.facts,
+    )
+
+
+def _result_in_words(data: ReportData, documents: Sequence[Document]) -> str:
     hours = float(data.run["t"][-1] - data.run["t"][0]) / 3600
     parts = ["The run was stopped before its end."] if data.stopped else []
     lasted = f"{hours:.2g} h" if hours >= SHORTEST_H else f"{3600 * hours:.2g} s"
@@ -220,37 +238,7 @@ def render(data: ReportData) -> str:
         share = 1 - sum(a for a, _ in saved) / sum(b for _, b in saved if b)
         much = f"{abs(share):.0%} {'smaller' if share > 0 else 'LARGER'} than" if round(share, 2) else "the same as"
         parts.append(f"The integrated error is {much} with fixed gains.")
-    return rendered(
-        "report.html.jinja",
-        title=f"{data.loop}: retuning report",
-        panel_style=panel_style(),
-        trend=trend_svg(data.run, data.fixed, marks_of(data, documents), data.after.regions, data.unit),
-        lead=" ".join(parts),
-        scores=_scores_table(data, documents),
-        scores_note=(
-            f"Settings in {units.form} form unless marked. Ms is the peak of the sensitivity on the simulated process, "
-            f"the largest over the operating points visited; the limit is {data.ms_limit:g}."
-        ),
-        regions=overview(data.after, documents, data.advice),
-        twins=_twins(data),
-        twins_note="" if data.fixed is not None else "There was no run with fixed gains to compare with.",
-        what_if=what_if_section(
-            panels, {"controller": units.name, "span": units.pv_span, "sets": ["final", "baseline"]}
-        ),
-        decisions_note=_decisions_note(len(views) == MOST_PAGES),
-        decisions=_decisions_table(documents, {view.number for view in views}, data.run["t"]),
-        pages=[(view.number, _page_line(view), article(view)) for view in views],
-        facts=data.facts,
-    )
-
-
-def _decisions_note(more: bool) -> str:
-    """What the table shows. more : not every decision that has reasons has a page."""
-    left = f" The newest {MOST_PAGES} have one; `retuner report FOLDER --decision N` makes any other." if more else ""
-    return (
-        "One row per recognised response; rows that write or propose gains are shaded. A number with a link opens the "
-        f"full reasoning below the table.{left}"
-    )
+    return " ".join(parts)
 
 
 def marks_of(data: ReportData, documents: Sequence[Document]) -> list[Mark]:
@@ -269,7 +257,6 @@ def _counted(count: int, what: str) -> str:
 
 
 def _scores_table(data: ReportData, documents: Sequence[Document]) -> tuple[Sequence[str], Sequence[Sequence[object]]]:
-    """Each region before and after; Ms over the limit is red, with the reason."""
     iae = (f"IAE fixed [{data.unit} s]", f"IAE retuned [{data.unit} s]")
     heads = ("region", "baseline gains", "final gains", "changes", "Ms before", "Ms after", *iae)
     rows = []
@@ -309,18 +296,6 @@ def _ms_cell(score: RegionScore, limit: float, documents: Sequence[Document]) ->
     return Explained(f"{text}, over {limit:g}", why)
 
 
-def _twins(data: ReportData) -> list[str]:
-    names = data.after.regions.names
-    still = {one.region for one in data.scores if not one.changes and one.before == one.after}
-    images = []
-    for twin in twin_steps(data.run, data.events):
-        name = names[twin.region]
-        if name in still:
-            continue
-        images.append(twin_svg(data.run, data.fixed, twin, name, data.unit, commissioned=as_commissioned(data, twin)))
-    return images
-
-
 def as_commissioned(data: ReportData, twin: Twin) -> bool:
     """Whether the first of two equal steps ran on the baseline gains to its end."""
     before = data.before.gains_of(twin.region)
@@ -357,8 +332,3 @@ def _decisions_table(
         rows.append((link, *told))
         classes.append("" if words(document, "action") == "none" else "commit")
     return heads, rows, classes
-
-
-def _page_line(view: DecisionView) -> str:
-    """The heading of a page, which is seen when its row's link is followed, and on paper."""
-    return f"Decision {view.number}: {words(view.document, 'region')} at {in_full(view.t_s)} s"

@@ -73,7 +73,6 @@ def trend_svg(run: Columns, fixed: Columns | None, marks: Sequence[Mark], region
 
 
 def _marks(panels: Sequence[Panel], marks: Sequence[Mark], start_s: float, scale: float) -> None:
-    """A line through all panels for each mark, its decision's number beside it in the first one."""
     labelled: set[bool] = set()
     for mark in marks:
         at = (mark.t_s - start_s) / scale

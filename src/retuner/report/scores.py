@@ -86,7 +86,8 @@ def region_scores(
     fixed = fixed and {name: x[fixed["t"] <= run["t"][-1]] for name, x in fixed.items()}
     for i, name in enumerate(before.regions.names):
         inside = np.flatnonzero(run["region"] == i)
-        truths: list[Truth] = []  # over the setpoints visited, under each load that was on it
+        # the true process over the setpoints visited, under each load that was on it, and the scheduling values there
+        truths: list[tuple[LinearProcess, float, float]] = []
         if linearise is not None and inside.size:
             loaded = np.zeros(len(inside)) if loads is None else loads[inside]
             for load in np.unique(loaded).tolist():
@@ -99,10 +100,16 @@ def region_scores(
                         continue
                     row = int(rows[np.argmin(np.abs(visited - pv))])
                     x, x2 = (float(run[name][row]) if name in run else 0.0 for name in ("x", "x2"))
-                    truths.append(Truth(process.seen_by_controller(sample_time_s), x, x2))
-
-        def worst(table: GainTable, truths: list[Truth] = truths, region: int = i) -> float | None:
-            return max((sensitivity_peak(t.process, t.gains(table, region), tau_f_s) for t in truths), default=None)
+                    truths.append((process.seen_by_controller(sample_time_s), x, x2))
+        ms: list[float | None] = []
+        for table in (before, after):
+            peaks = []
+            for process, x, x2 in truths:
+                # the region's own set where a scheduling value was not known
+                known = math.isfinite(x) and math.isfinite(x2)
+                gains = table.at(i, x, x2) if known else table.gains_of(i)
+                peaks.append(sensitivity_peak(process, gains, tau_f_s))
+            ms.append(max(peaks, default=None))
 
         scores.append(
             RegionScore(
@@ -110,27 +117,13 @@ def region_scores(
                 before=before.gains_of(i),
                 after=after.gains_of(i),
                 changes=sum(1 for _, region in commits if region == i),
-                ms_before=worst(before),
-                ms_after=worst(after),
+                ms_before=ms[0],
+                ms_after=ms[1],
                 iae=iae(run, i),
                 iae_fixed=None if fixed is None else iae(fixed, i),
             )
         )
     return scores
-
-
-@dataclass(frozen=True, slots=True)
-class Truth:
-    """The true process at one operating point, and the scheduling values there."""
-
-    process: LinearProcess
-    x: float
-    x2: float
-
-    def gains(self, table: GainTable, region: int) -> PidGains:
-        """What the table puts in force there; the region's own set where a scheduling value was not known."""
-        known = math.isfinite(self.x) and math.isfinite(self.x2)
-        return table.at(region, self.x, self.x2) if known else table.gains_of(region)
 
 
 def iae(columns: Columns, region: int) -> float:
