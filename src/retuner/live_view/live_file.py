@@ -86,7 +86,6 @@ class LiveWriter:
             self.trouble = self.trouble or "closed"
 
     def _into(self, ring: int, row: Row) -> None:
-        """Put a sample into a ring, and what it completes into the further ones."""
         number = self._counts[ring]
         self._counts[ring] = number + 1
         self._write(SAMPLE.pack(*row), place(ring, number))

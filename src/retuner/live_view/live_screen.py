@@ -26,7 +26,7 @@ from retuner.decision_page.decision_words import (
     stays,
 )
 from retuner.errors import one_line
-from retuner.live_view.loop_seen import LoopSeen, RegionSeen
+from retuner.live_view.loop_seen import LoopSeen
 from retuner.report.console import COLOURS, KEPT, MOST_CHARACTERS, ROLLED_BACK, live_line
 
 # The lines of the live view, made for a width: none is ever longer, so none wraps.
@@ -46,19 +46,14 @@ def trace(values: Sequence[float], width: int, marks: str = BARS) -> str:
     """The values from left to right in so many characters: each column shows the mean of its share."""
     if width < 1 or not values:
         return ""
-    columns = [_share(values, i, width) for i in range(min(width, len(values)))]
+    count = min(width, len(values))
+    shares = [values[len(values) * i // count : len(values) * (i + 1) // count] for i in range(count)]
+    columns = [sum(share) / len(share) for share in shares]
     low, high = min(columns), max(columns)
     if high - low <= 1e-9 * max(abs(low), abs(high), 1e-9):
         return marks[0] * len(columns)
     top = len(marks) - 1
     return "".join(marks[round(top * (value - low) / (high - low))] for value in columns)
-
-
-def _share(values: Sequence[float], i: int, width: int) -> float:
-    """Mean of the i-th of so many equal shares."""
-    count = min(width, len(values))
-    part = values[len(values) * i // count : len(values) * (i + 1) // count]
-    return sum(part) / len(part)
 
 
 INDENT = 11  # columns before the second line of a decision: as many as its time takes
@@ -104,50 +99,37 @@ def decision_lines(decision: Decision, width: int, loop: str = "", *, detail: bo
     why = "; ".join(one for one in (one_line(reason), f"trial: {one_line(judged)}" if judged else "") if one)
     lines = [head, Text(f"{' ' * INDENT}{why}")]
     if detail:
-        told = [response_text(decision), model_text(decision), _evidence(decision)]
+        weighed = decision.diagnosis
+        evidence = "" if weighed is None else f"{weighed.reason} (confidence {weighed.confidence:.0%})"
+        told = [response_text(decision), model_text(decision), evidence]
         lines += [Text(line, style="dim") for one in told if one for line in folded(one, width, INDENT)]
         lines[1:2] = [Text(line) for line in folded(why, width, INDENT)] or lines[1:2]
     return [fitted(line, width) for line in lines]
 
 
-def _evidence(decision: Decision) -> str:
-    """The causes that were weighed, in a sentence."""
-    if decision.diagnosis is None:
-        return ""
-    return f"{decision.diagnosis.reason} (confidence {decision.diagnosis.confidence:.0%})"
-
-
 def loop_lines(seen: LoopSeen, unit: str, pv: Iterable[float], width: int, *, ascii_only: bool = False) -> list[Text]:
     """A loop in PANEL_LINES lines."""
     s, here, marks = seen.sample, seen.here, PLAIN if ascii_only else BARS
-    name = Text.assemble((seen.loop, "bold"), (f"   t {s.t_s:,.0f} s", "dim"), _mode(seen))
+    mode = f"   mode {here.mode}{'   MANUAL' * seen.manual}" if here and here.mode else ""
+    name = Text.assemble(
+        (seen.loop, "bold"), (f"   t {s.t_s:,.0f} s", "dim"), (mode, "yellow" if seen.manual else "dim")
+    )
     values = Text.assemble("  sp ", (f"{s.sp:9.4g}", "bold"), "   pv ", (f"{s.pv:9.4g}", "bold cyan"), f" {unit}   co ")
     values.append(f"{s.co:6.1f}", "bold")
     values.append(" % at a limit" if s.limited else " %", "red" if s.limited else "")
     room = min(width - cell_len("  pv trace "), LONGEST_TRACE)
     drawn = Text.assemble(("  pv trace ", "dim"), (trace(tuple(pv), room, marks), "cyan"))
-    needs = seen.needs_a_person
-    waits = Text.assemble(("  needs you: ", "bold red"), needs) if needs else Text(f"  waits for {seen.waits_for}")
-    lines = [name, values, drawn, _in_force(seen, here), _phases(seen, here, unit), waits]
-    return [fitted(line, width) for line in lines]
-
-
-def _mode(seen: LoopSeen) -> Text:
-    mode = seen.here.mode if seen.here else ""
-    return Text(f"   mode {mode}{'   MANUAL' * seen.manual}" if mode else "", "yellow" if seen.manual else "dim")
-
-
-def _in_force(seen: LoopSeen, here: RegionSeen | None) -> Text:
     gains = settings_text(seen.running) if seen.running else "gains not known yet"
     ms = "" if here is None else f"   Ms {'not known yet' if here.ms is None else ms_words(here.ms)}"
-    return Text.assemble("  region ", (here.name if here else "not known", "bold"), f"   {gains}", (ms, "bold"))
-
-
-def _phases(seen: LoopSeen, here: RegionSeen | None, unit: str) -> Text:
+    in_force = Text.assemble("  region ", (here.name if here else "not known", "bold"), f"   {gains}", (ms, "bold"))
     peaks = f", {len(seen.peaks)} peak{'s' * (len(seen.peaks) != 1)}" if seen.peaks else ""
     trial = here.trial if here else "idle"
-    text = Text(f"  recogniser {seen.recogniser}{peaks}, band {seen.band:.2g} {unit}")
-    return text.append(f"   trial {trial}", "" if trial == "idle" else "magenta")
+    phases = Text(f"  recogniser {seen.recogniser}{peaks}, band {seen.band:.2g} {unit}")
+    phases.append(f"   trial {trial}", "" if trial == "idle" else "magenta")
+    needs = seen.needs_a_person
+    waits = Text.assemble(("  needs you: ", "bold red"), needs) if needs else Text(f"  waits for {seen.waits_for}")
+    lines = [name, values, drawn, in_force, phases, waits]
+    return [fitted(line, width) for line in lines]
 
 
 def loop_line(seen: LoopSeen, unit: str, pv: Iterable[float], width: int, *, ascii_only: bool = False) -> Text:

@@ -181,7 +181,6 @@ class LoopObserver:
         )
 
     def _waits_for(self, state: RecogniserState | None) -> str:
-        """What has to happen before anything is decided or done."""
         r = self._retuner
         if r.region is None:
             return "the first sample"
@@ -219,30 +218,29 @@ class LoopObserver:
         trials = [r.trials.of(i) for i in places]
         parts = (r.table, r.settings, *(r.region_models.get(i) for i in places))
         stands = tuple((one.phase, one.rollbacks) for one in trials)
-        if stands != self._stands or any(a is not b for a, b in zip(parts, self._parts, strict=False)):
-            self._parts, self._stands = parts, stands
-            self._regions = tuple(self._region(i, t_s) for i in places)
+        if stands == self._stands and all(a is b for a, b in zip(parts, self._parts, strict=False)):
+            return self._regions
+        found = []
+        for i, trial in enumerate(trials):
+            model, gains, ms = r.region_models.get(i), r.table.gains_of(i), None
+            if model is not None:
+                process = predicted(model, max(t_s, model.t_s), r.settings.tracker).model()
+                sampled = process.seen_by_controller(r.settings.sample_time_s).linear()
+                ms = sensitivity_peak(sampled, gains, r.settings.filter_s)
+            seen = RegionSeen(
+                name=r.table.regions.names[i],
+                gains=gains,
+                commissioned=r.commissioned.gains_of(i),
+                ms=ms,
+                records=model.records if model else 0,
+                learned_s=model.t_s if model else None,
+                mode=str(r.settings.mode_of(i)),
+                trial=str(trial.phase),
+                rollbacks=trial.rollbacks,
+            )
+            found.append(seen)
+        self._parts, self._stands, self._regions = parts, stands, tuple(found)
         return self._regions
-
-    def _region(self, i: int, t_s: float) -> RegionSeen:
-        r = self._retuner
-        model, trial, gains = r.region_models.get(i), r.trials.of(i), r.table.gains_of(i)
-        ms = None
-        if model is not None:
-            process = predicted(model, max(t_s, model.t_s), r.settings.tracker).model()
-            sampled = process.seen_by_controller(r.settings.sample_time_s).linear()
-            ms = sensitivity_peak(sampled, gains, r.settings.filter_s)
-        return RegionSeen(
-            name=r.table.regions.names[i],
-            gains=gains,
-            commissioned=r.commissioned.gains_of(i),
-            ms=ms,
-            records=model.records if model else 0,
-            learned_s=model.t_s if model else None,
-            mode=str(r.settings.mode_of(i)),
-            trial=str(trial.phase),
-            rollbacks=trial.rollbacks,
-        )
 
 
 def recogniser_words(state: RecogniserState | None) -> str:

@@ -7,7 +7,6 @@ import math
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from importlib.resources import files
-from pathlib import Path
 from typing import Any
 
 from starlette.applications import Starlette
@@ -18,9 +17,8 @@ from starlette.routing import Route
 from retuner.errors import UserError
 from retuner.report.what_if import page_script, panel_style, script_hash
 from retuner.serve import documents
-from retuner.serve.gate import PAGE_POLICY, Gate
 from retuner.serve.hub import Hub
-from retuner.serve.page_access import LASTS_S, PageAccess
+from retuner.serve.page_access import LASTS_S, PAGE_POLICY, Gate, PageAccess
 from retuner.serve.runs import WatchedLoop, WatchedSession
 from retuner.session.orders import Order, OrderKind, proposed_gains, put_order
 from retuner.session.outputs import REPORT
@@ -28,27 +26,22 @@ from retuner.templates import palette
 
 LARGEST = 4096  # bytes of what a browser sends
 MOST_STREAMS = 200
+CSS, JAVASCRIPT = "text/css; charset=utf-8", "text/javascript; charset=utf-8"
 STATIC = {
     "/": ("index.html", "text/html; charset=utf-8"),
-    "/app.css": ("app.css", "text/css; charset=utf-8"),
-    "/app.js": ("app.js", "text/javascript; charset=utf-8"),
-    "/drawing.js": ("drawing.js", "text/javascript; charset=utf-8"),
-    "/uplot.js": ("uPlot.iife.min.js", "text/javascript; charset=utf-8"),
-    "/uplot.css": ("uPlot.min.css", "text/css; charset=utf-8"),
+    "/app.css": ("app.css", CSS),
+    "/app.js": ("app.js", JAVASCRIPT),
+    "/drawing.js": ("drawing.js", JAVASCRIPT),
+    "/uplot.js": ("uPlot.iife.min.js", JAVASCRIPT),
+    "/uplot.css": ("uPlot.min.css", CSS),
     "/uplot.licence.txt": ("uPlot.LICENSE", "text/plain; charset=utf-8"),
     "/icon.svg": ("icon.svg", "image/svg+xml"),
 }
 """Every file that is served, by its address: nothing else is ever opened for a browser."""
 
 
-def _shared() -> dict[str, tuple[str, str]]:
-    """What the page shares with all others: colours, and the panel that tries settings."""
-    css, javascript = "text/css; charset=utf-8", "text/javascript; charset=utf-8"
-    return {
-        "/palette.css": (palette(), css),
-        "/what_if.css": (panel_style(), css),
-        "/what_if.js": (page_script(), javascript),
-    }
+def _served(content: str | bytes, kind: str) -> Callable[[Request], Response]:
+    return lambda _: Response(content, headers={"content-type": kind})
 
 
 class NotTakenError(Exception):
@@ -73,9 +66,13 @@ class PageAnswers:
 
     def application(self) -> Gate:
         """The whole, behind its gate."""
-        routes = [Route(path, self._file(name, kind)) for path, (name, kind) in STATIC.items()]
-        routes += [Route(path, self._text(*made)) for path, made in _shared().items()]
-        routes += [
+        static = files("retuner.serve").joinpath("static")
+        routes = [
+            *(Route(path, _served(static.joinpath(name).read_bytes(), kind)) for path, (name, kind) in STATIC.items()),
+            # what the page shares with all others: colours, and the panel that tries settings
+            Route("/palette.css", _served(palette(), CSS)),
+            Route("/what_if.css", _served(panel_style(), CSS)),
+            Route("/what_if.js", _served(page_script(), JAVASCRIPT)),
             Route("/api/what-if/{session}/{number}", self._told(lambda r: documents.tried(*self._loop(r)))),
             Route("/api/overview", self._told(lambda _: documents.overview(self._hub.runs))),
             Route("/api/loop/{session}/{number}", self._told(lambda r: documents.loop_document(*self._loop(r)))),
@@ -95,21 +92,11 @@ class PageAnswers:
 
     @asynccontextmanager
     async def _looking(self, _: Starlette) -> AsyncIterator[None]:
-        """While the server runs, the hub looks."""
         looking = asyncio.create_task(self._hub.run())
         try:
             yield
         finally:
             looking.cancel()
-
-    def _file(self, name: str, kind: str) -> Callable[[Request], Response]:
-        return self._text(files("retuner.serve").joinpath("static").joinpath(name).read_bytes(), kind)
-
-    def _text(self, content: str | bytes, kind: str) -> Callable[[Request], Response]:
-        def answer(_: Request) -> Response:
-            return Response(content, headers={"content-type": kind})
-
-        return answer
 
     def _told(self, document: Callable[[Request], object]) -> Callable[[Request], object]:
         async def answer(request: Request) -> Response:
@@ -230,44 +217,28 @@ class PageAnswers:
             raise NotTakenError(409, "this session has ended: nothing can be changed any more")
         if session.ledger.broken:
             raise NotTakenError(409, f"the ledger cannot be trusted: {session.ledger.broken}")
-        order = _order_of(body)
+        decision = body.get("decision", 0)
+        if type(decision) is not int:
+            raise NotTakenError(400, "decision must be a whole number")
+        texts = {name: _text(body, name) for name in ("by", "note", "digest", "region", "mode")}
+        now = dt.datetime.now(dt.UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+        try:
+            kind, gains = OrderKind(_text(body, "order")), proposed_gains(body.get("gains"))
+            order = Order(kind, at=now, decision=decision, gains=gains, **texts)
+        except ValueError as error:
+            raise NotTakenError(400, str(error)) from None
         if order.region and order.region not in loop.regions:
             raise NotTakenError(404, f"there is no region {order.region}; there are {', '.join(loop.regions)}")
-        file = await asyncio.to_thread(_put, loop.order_folder(session.folder), order)
+        try:
+            file = await asyncio.to_thread(put_order, loop.order_folder(session.folder), order)
+        except UserError as error:
+            raise NotTakenError(429, str(error)) from None
+        except OSError as error:
+            raise NotTakenError(500, f"the order cannot be put into the session's folder: {error.strerror}") from None
         self._access.acted(cookie)
-        answer = JSONResponse({"order": str(order.kind), "file": file})
+        answer = JSONResponse({"order": str(order.kind), "file": file.name})
         self._give(answer, cookie, LASTS_S)
         return answer
-
-
-def _put(folder: Path, order: Order) -> str:
-    try:
-        return put_order(folder, order).name
-    except UserError as error:
-        raise NotTakenError(429, str(error)) from None
-    except OSError as error:
-        raise NotTakenError(500, f"the order cannot be put into the session's folder: {error.strerror}") from None
-
-
-def _order_of(body: dict[str, Any]) -> Order:
-    now = dt.datetime.now(dt.UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-    decision = body.get("decision", 0)
-    if type(decision) is not int:
-        raise NotTakenError(400, "decision must be a whole number")
-    try:
-        return Order(
-            OrderKind(_text(body, "order")),
-            _text(body, "by"),
-            now,
-            _text(body, "note"),
-            _text(body, "digest"),
-            decision,
-            _text(body, "region"),
-            _text(body, "mode"),
-            proposed_gains(body.get("gains")),
-        )
-    except ValueError as error:
-        raise NotTakenError(400, str(error)) from None
 
 
 def _not_taken(_: Request, error: Exception) -> Response:

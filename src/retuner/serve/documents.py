@@ -4,6 +4,7 @@ import csv
 import io
 import json
 from collections.abc import Iterable
+from dataclasses import fields
 
 import numpy as np
 
@@ -234,7 +235,7 @@ def rows_csv(found: Iterable[LedgerLine]) -> str:
     """Rows as CSV; what a spreadsheet would take for a formula is made text."""
     out = io.StringIO()
     writer = csv.writer(out)
-    names = ("row", "when_s", "kind", "who", "loop", "region", "why", "old", "new", "evidence", "verdict")
+    names = [field.name for field in fields(LedgerLine)]
     writer.writerow(names)
     for one in found:
         document = one.to_dict()

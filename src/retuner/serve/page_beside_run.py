@@ -25,27 +25,11 @@ def require_page() -> None:
         raise UserError(MISSING)
 
 
-class PageBesideRun:
-    """The page beside a run. say : is told what a person should know."""
-
-    def __init__(self, say: Callable[[str], None], server: "subprocess.Popen[bytes]") -> None:
-        self._say, self._server = say, server
-
-    def stay(self, *, watched: bool) -> None:
-        """Keep the page up when the run is over, until Ctrl-C; where nobody is there to press it, not at all.
-
-        watched : whether a person sits at the terminal.
-        """
-        if not watched or self._server.poll() is not None:
-            return
-        self._say("the page stays up; Ctrl-C ends it")
-        with suppress(KeyboardInterrupt):
-            self._server.wait()
-
-
 @contextmanager
-def served_beside(folder: Path, say: Callable[[str], None]) -> Iterator[PageBesideRun]:
-    """While inside, the page of a session's folder is served; say : is told where."""
+def served_beside(folder: Path, say: Callable[[str], None]) -> Iterator[Callable[[], None]]:
+    """While inside, the page of a session's folder is served; say : is told where. What it gives keeps the page up when
+    the run is over, until Ctrl-C.
+    """
     options, token = ServeOptions(), secrets.token_urlsafe(24)
     with listening(options) as ours:
         for line in lines(options, int(ours.getsockname()[1]), token):
@@ -65,8 +49,15 @@ def served_beside(folder: Path, say: Callable[[str], None]) -> Iterator[PageBesi
         with suppress(OSError):  # it is gone already: the run goes on without it
             server.stdin.write(f"{token}\n".encode())
             server.stdin.flush()
+
+    def stay() -> None:
+        if server.poll() is None:
+            say("the page stays up; Ctrl-C ends it")
+            with suppress(KeyboardInterrupt):
+                server.wait()
+
     try:
-        yield PageBesideRun(say, server)
+        yield stay
     finally:
         # end the server: it is told so by the end of its input, and is not waited for long
         with suppress(OSError, subprocess.TimeoutExpired):

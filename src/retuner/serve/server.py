@@ -31,11 +31,12 @@ class PatientProtocol(H11Protocol):
         """A browser connects."""
         assert isinstance(transport, asyncio.Transport)
         super().connection_made(transport)
-        self.loop.call_later(SILENT_S, self._still_silent)
 
-    def _still_silent(self) -> None:
-        if getattr(self, "cycle", None) is None and not self.transport.is_closing():
-            self.transport.close()
+        def let_go() -> None:
+            if getattr(self, "cycle", None) is None and not transport.is_closing():
+                transport.close()
+
+        self.loop.call_later(SILENT_S, let_go)
 
 
 def serve(
@@ -82,15 +83,14 @@ def serve(
     )
     try:
         server = uvicorn.Server(config)
-        if options.until_closed:
-            threading.Thread(target=_until_closed, args=(server,), daemon=True).start()
+        if options.until_closed:  # the server ends when whoever started it is gone
+
+            def until_closed() -> None:
+                sys.stdin.read()
+                server.should_exit = True
+
+            threading.Thread(target=until_closed, daemon=True).start()
         server.run(sockets=[ours])
     finally:
         ours.close()
     runs.close()
-
-
-def _until_closed(server: uvicorn.Server) -> None:
-    """End the server when whoever started it is gone."""
-    sys.stdin.read()
-    server.should_exit = True
