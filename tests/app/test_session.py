@@ -27,7 +27,8 @@ from retuner.drivers.device import (
     WriteRefusedError,
     WriteUnknown,
 )
-from retuner.session.loop_session import HOLD_SAMPLES, RETRY_SAMPLES, LoopSession
+from retuner.session.gain_writer import HOLD_SAMPLES, RETRY_SAMPLES
+from retuner.session.loop_session import LoopSession
 from retuner.session.scenario import ScenarioPlayer
 from retuner.session.session import Session
 

@@ -10,7 +10,7 @@ Loops on one bus share its link (shared_link.py), so each frame is read once, ho
 
 import itertools
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -113,23 +113,6 @@ class VirtualBench(NamedTuple):
     plants: "Plants"
 
 
-class _Turns:
-    """Samples of virtual devices, each at its own times."""
-
-    def __init__(self, clock: SimulatedClock, devices: Sequence[DeviceOnBus], periods_s: Sequence[float]) -> None:
-        self._clock, self._devices, self._periods_s = clock, devices, periods_s
-        self._next_s = list(periods_s)
-
-    def turn(self) -> None:
-        """Let time go on to the next sample, and have it made."""
-        now_s = min(self._next_s)
-        self._clock.wait_until(now_s)
-        for i, device in enumerate(self._devices):
-            if self._next_s[i] <= now_s:
-                device.sample()
-                self._next_s[i] += self._periods_s[i]
-
-
 @contextmanager
 def virtual_bench(
     config: SessionConfig,
@@ -155,23 +138,30 @@ def virtual_bench(
             for i, port in zip(loops, far.ports, strict=True):
                 devices[i] = DeviceOnBus(make_far_side(config.loops[i], plants.plants[i]), port)
         periods_s = [one.loop.sample_time_s for one in config.loops]
-        turn = _Turns(clock, [devices[i] for i in range(len(periods_s))], periods_s).turn
+        next_s = list(periods_s)
+
+        def turn() -> None:
+            """Let time go on to the next sample of any device, and have it made."""
+            now_s = min(next_s)
+            clock.wait_until(now_s)
+            for i, period_s in enumerate(periods_s):
+                if next_s[i] <= now_s:
+                    devices[i].sample()
+                    next_s[i] += period_s
+
+        def hosted(links: Sequence[CanLink]) -> VirtualBench:
+            buses = HostBuses([_share(link, config, loops) for link, loops in zip(links, config.buses, strict=True)])
+            for bus in buses.buses:
+                link = bus.link.link if isinstance(bus.link, LinkShare) else bus.link
+                if isinstance(link, BenchLink):
+                    link.answering = [devices[i] for i in bus.loops if config.loops[i].foreign_device is not None]
+            return VirtualBench(buses, clock, turn, plants)
+
         if first is not None:
             with opened(settings, clock, before(log)) as links:
-                buses = _hosts(links, config)
-                _answer_at_once(config, buses, devices)
-                first(VirtualBench(buses, clock, turn, plants))
+                first(hosted(links))
         with opened(settings, clock, log) as links:
-            buses = _hosts(links, config)
-            _answer_at_once(config, buses, devices)
-            yield VirtualBench(buses, clock, turn, plants)
-
-
-def _answer_at_once(config: SessionConfig, buses: HostBuses, devices: Mapping[int, DeviceOnBus]) -> None:
-    for bus in buses.buses:
-        link = bus.link.link if isinstance(bus.link, LinkShare) else bus.link
-        if isinstance(link, BenchLink):
-            link.answering = [devices[i] for i in bus.loops if config.loops[i].foreign_device is not None]
+            yield hosted(links)
 
 
 @contextmanager
@@ -206,10 +196,6 @@ def opened(settings: Sequence[LinkSettings], clock: Clock, log: Path | None) -> 
             stack.enter_context(BenchLink(one, clock, log_of_bus(log, number) if log else None))
             for number, one in enumerate(settings)
         ]
-
-
-def _hosts(links: Sequence[CanLink], config: SessionConfig) -> HostBuses:
-    return HostBuses([_share(link, config, loops) for link, loops in zip(links, config.buses, strict=True)])
 
 
 def _settings(config: SessionConfig, loops: Sequence[int], speed: float = 1.0) -> LinkSettings:

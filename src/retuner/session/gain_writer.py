@@ -43,13 +43,6 @@ class Why(StrEnum):
     RETUNE = "retune"
     SCHEDULE = "schedule"
 
-    @property
-    def begin(self) -> "WriterInput":
-        """What beginning such a write is to the writer."""
-        return {Why.RESTORE: WriterInput.RESTORE, Why.RETUNE: WriterInput.CHANGE, Why.SCHEDULE: WriterInput.FOLLOW}[
-            self
-        ]
-
 
 class WriterPhase(Enum):
     """What is being written, and whether a decision waits for the wire."""
@@ -74,6 +67,8 @@ class WriterInput(Enum):
     FAILED = "the write did not happen"
 
 
+BEGIN = {Why.RESTORE: WriterInput.RESTORE, Why.RETUNE: WriterInput.CHANGE, Why.SCHEDULE: WriterInput.FOLLOW}
+"""What beginning a write is to the writer."""
 P, W = WriterPhase, WriterInput
 WRITING: dict[tuple[WriterPhase, WriterInput], WriterPhase] = {
     (P.IDLE, W.ASK): P.ASKED,
@@ -82,14 +77,8 @@ WRITING: dict[tuple[WriterPhase, WriterInput], WriterPhase] = {
     (P.ASKED, W.DROP): P.IDLE,
     (P.ASKED, W.CHANGE): P.CHANGING,
     (P.FOLLOWING, W.ASK): P.FOLLOWING_ASKED,
-    (P.FOLLOWING, W.DONE): P.IDLE,
-    (P.FOLLOWING, W.FAILED): P.IDLE,
-    (P.FOLLOWING_ASKED, W.DONE): P.ASKED,
-    (P.FOLLOWING_ASKED, W.FAILED): P.ASKED,
-    (P.CHANGING, W.DONE): P.IDLE,
-    (P.CHANGING, W.FAILED): P.IDLE,
-    (P.RESTORING, W.DONE): P.IDLE,
-    (P.RESTORING, W.FAILED): P.IDLE,
+    **{(phase, end): P.IDLE for phase in (P.FOLLOWING, P.CHANGING, P.RESTORING) for end in (W.DONE, W.FAILED)},
+    **{(P.FOLLOWING_ASKED, end): P.ASKED for end in (W.DONE, W.FAILED)},
 }
 """A decision that asks while another one waits or is written has no row here: it is dropped, and told."""
 
@@ -210,8 +199,27 @@ class GainWriter:
                 self._note("dropped", meant, decision=None, reason=reason)
                 self.retuner.not_written(at)
         wanted = self._to_restore(running, now_s) if self.restoring else self._wanted(running.gains)
-        if wanted is not None and (not self.frozen or wanted.why == Why.RESTORE):
-            self._begin(running, wanted, now_s)
+        if wanted is None or (self.frozen and wanted.why != Why.RESTORE):
+            return
+        # What is meant is recorded, then begun; what could not be recorded is not written, but the way back: leaving
+        # gains in force that nothing vouches for would be worse than a missing row
+        new, before = gains_dict(wanted.gains), gains_dict(running.gains)
+        digest = wanted.decision.digest() if wanted.decision else None
+        self._note("intent", wanted, gains=new, base=running.seq, before=before, decision=digest)
+        if self.frozen and wanted.why != Why.RESTORE:
+            return
+        try:
+            self.device.begin_write(wanted.gains, now_s, back=wanted.why == Why.RESTORE)
+        except WriteRefusedError as error:
+            if wanted.why == Why.RETUNE:
+                self._pending = None
+                self.machine.take(WriterInput.DROP)
+            self._give_up(wanted, str(error), now_s)
+            return
+        self.machine.take(BEGIN[wanted.why])
+        self._under_way = wanted
+        if wanted.why == Why.RETUNE:
+            self._pending = None
 
     def done(self, event: WriteDone) -> None:
         """The controller runs the set, as read back; only now does the table change."""
@@ -229,14 +237,6 @@ class GainWriter:
         self._newest = write.why
         if write.why == Why.RETUNE:
             self._in_table_now(write, stored)
-
-    def _for_later(self, write: WantedSet) -> None:
-        """A set of a region where the loop is not: the table has it from now on."""
-        self._pending = None
-        self.machine.take(WriterInput.DROP)
-        gains = self.retuner.settings.rounded(write.gains)
-        self._note("committed", write, gains=gains_dict(gains), reason=LATER)
-        self._in_table_now(write, gains)
 
     def _in_table_now(self, write: WantedSet, stored: PidGains) -> None:
         before = self.retuner.table
@@ -270,42 +270,16 @@ class GainWriter:
         self._give_up(write, event.reason, now_s, event.running.gains, written=not known)
         if known:
             return None
-        altered = write.why == Why.RETUNE and event.running.seq == event.seq  # by the controller that took it
-        if not altered and self._is_a_persons(event.running.gains):
-            return TrialEvent.OPERATOR_EDIT
-        return TrialEvent.WRITE_UNKNOWN if write.why != Why.RESTORE else None
-
-    def _is_a_persons(self, running: PidGains) -> bool:
-        """Whether what runs is none of ours: neither in the table nor on trial. A mean of sets may be either."""
+        # What runs is a person's where it is neither in the table nor on trial, nor altered by the controller that took
+        # it; a mean of sets may be either
+        altered = write.why == Why.RETUNE and event.running.seq == event.seq
         table, trials = self.retuner.table, self.retuner.trials
-        if table.lookup == Lookup.INTERPOLATED:
-            return False
         tried = (gains for i in range(len(table.gains)) for gains in (trials.of(i).old, trials.of(i).new))
         ours = (gains for gains in (*table.gains, *tried) if gains is not None)
-        return all(change_factor(running, gains) > SAME_GAINS for gains in ours)
-
-    def _begin(self, running: RunningSet, wanted: WantedSet, now_s: float) -> None:
-        """Record what is meant, then begin to write it; what could not be recorded is not written, but the way back.
-
-        Leaving gains in force that nothing vouches for would be worse than a missing row.
-        """
-        new, before = gains_dict(wanted.gains), gains_dict(running.gains)
-        digest = wanted.decision.digest() if wanted.decision else None
-        self._note("intent", wanted, gains=new, base=running.seq, before=before, decision=digest)
-        if self.frozen and wanted.why != Why.RESTORE:
-            return
-        try:
-            self.device.begin_write(wanted.gains, now_s, back=wanted.why == Why.RESTORE)
-        except WriteRefusedError as error:
-            if wanted.why == Why.RETUNE:
-                self._pending = None
-                self.machine.take(WriterInput.DROP)
-            self._give_up(wanted, str(error), now_s)
-            return
-        self.machine.take(wanted.why.begin)
-        self._under_way = wanted
-        if wanted.why == Why.RETUNE:
-            self._pending = None
+        strange = all(change_factor(event.running.gains, gains) > SAME_GAINS for gains in ours)
+        if strange and not altered and table.lookup != Lookup.INTERPOLATED:
+            return TrialEvent.OPERATOR_EDIT
+        return TrialEvent.WRITE_UNKNOWN if write.why != Why.RESTORE else None
 
     def _to_restore(self, running: RunningSet, now_s: float) -> WantedSet | None:
         """The verified set, unless it runs: then this is the proof of it.
@@ -348,7 +322,6 @@ class GainWriter:
                 )
 
     def _wanted(self, running: PidGains) -> WantedSet | None:
-        """What should be written now, if anything: a decision for the region in force first, then the schedule."""
         region = self.retuner.region
         if region is None:
             return None
@@ -361,15 +334,20 @@ class GainWriter:
             elif self._pending.region == region and not held and not self.frozen:
                 return self._here(self._pending)
             elif self._pending.later and not held and not self.frozen:
-                self._for_later(self._pending)
+                # a set of a region where the loop is not: the table has it from now on
+                write, self._pending = self._pending, None
+                self.machine.take(WriterInput.DROP)
+                gains = self.retuner.settings.rounded(write.gains)
+                self._note("committed", write, gains=gains_dict(gains), reason=LATER)
+                self._in_table_now(write, gains)
             else:
                 self._drop(f"too soon after: {self._holding}" if held else "the loop has left the region")
         here = (region, running, self.retuner.table)
         if self.t_s < self._retry_at_s or here == self._in_order:
             return None
-        gains = self._in_table()
-        if gains is not None and change_factor(running, gains) > self._tolerance:
-            return WantedSet(Why.SCHEDULE, region, gains)
+        scheduled = self._in_table()
+        if scheduled is not None and change_factor(running, scheduled) > self._tolerance:
+            return WantedSet(Why.SCHEDULE, region, scheduled)
         if self.retuner.table.lookup is Lookup.HARD:  # else the mean moves with the scheduling values
             self._in_order = here
         return None
@@ -383,7 +361,6 @@ class GainWriter:
         return replace(wanted, gains=self.retuner.settings.rounded(new.at(wanted.region, *self.retuner.scheduled)))
 
     def _drop(self, reason: str) -> None:
-        """A decision that waited for the wire is not written."""
         pending, self._pending = self._pending, None
         if pending is not None and self.machine.take(WriterInput.DROP):
             self._dropped(pending, reason)
@@ -407,7 +384,6 @@ class GainWriter:
             self.retuner.not_written(wanted.region)
 
     def _note(self, kind: str, of: WantedSet, **more: object) -> None:
-        """A row of the ledger on a set that should run."""
         self._to_ledger(kind, self.t_s, {"why": of.why, "region": self._name(of.region), **more})
 
     def _in_table(self) -> PidGains | None:

@@ -74,22 +74,22 @@ def abort_cause(event: Event) -> TrialEvent | None:
     match event:
         case LinkChanged():
             return None if event.state is LinkState.UP else TrialEvent.LINK_LOST
-        case DeviceConflict():
-            return TrialEvent.LINK_LOST
-        case DeviceRestarted():
-            return TrialEvent.RESTARTED
-        case DeviceStopped():
-            return TrialEvent.DEVICE_STOPPED
-        case Reverted():
-            return TrialEvent.DEVICE_REVERTED
         case LeaseChanged():
             return None if event.ours else TrialEvent.LEASE_LOST
-        case WriteUnknown():
-            return TrialEvent.WRITE_UNKNOWN
         case VariableChanged():  # nobody can say in which region its responses would be
             return None if event.known else TrialEvent.LOST_TELEMETRY
         case _:
-            return None
+            return ENDS_TRIAL.get(type(event))
+
+
+ENDS_TRIAL: dict[type, TrialEvent] = {
+    DeviceConflict: TrialEvent.LINK_LOST,
+    DeviceRestarted: TrialEvent.RESTARTED,
+    DeviceStopped: TrialEvent.DEVICE_STOPPED,
+    Reverted: TrialEvent.DEVICE_REVERTED,
+    WriteUnknown: TrialEvent.WRITE_UNKNOWN,
+}
+"""Events that end an undecided trial whatever they say."""
 
 
 def bump_left(rows: Iterable[Row]) -> tuple[float, float] | None:
@@ -129,28 +129,23 @@ def feed(retuner: Retuner, kind: str, body: Mapping[str, Any], t_s: float) -> De
         case "foreign", _:
             gains = gains_of(body["gains"])
             return None if retuner.action_reversed else retuner.edited(gains)
-        case "answer", _:
-            return _answer(retuner, body)
+        case "answer", _:  # to the open question, worked out again; or the sentence that was entered in place of one
+            question, trouble, code = retuner.open_question, str(body["reason"]), str(body["code"])
+            if question is None or question.sample_number != body["asked"]:
+                raise ValueError(f"it answers a question of sample {body['asked']}, which is not open")
+            if trouble and code not in {LATE, LOST}:
+                answer = product("one plant").answered_again(question, code, trouble)
+            else:
+                answer = without_decision(code, trouble) if trouble else Answer(decide(question))
+            return retuner.enter(question, answer.result, retuner.sample_number)
         case "pretune", _:
-            return pretune(retuner, retuner.table.index(str(body["region"])), record_of(body["record"]))
+            at_s, sp, pv, co = (np.array(body["record"][name], dtype=np.float64) for name in ("t", "sp", "pv", "co"))
+            return pretune(retuner, retuner.table.index(str(body["region"])), Window(at_s, sp, pv, co))
         case "order", _:
             return _order(retuner, body, t_s) if body["accepted"] and body["due"] else None
         case _:
             pass
     return None
-
-
-def _answer(retuner: Retuner, body: Mapping[str, Any]) -> Decision:
-    """The answer to the open question, worked out again; or the sentence that was entered in place of one."""
-    question = retuner.open_question
-    if question is None or question.sample_number != body["asked"]:
-        raise ValueError(f"it answers a question of sample {body['asked']}, which is not open")
-    trouble, code = str(body["reason"]), str(body["code"])
-    if trouble and code not in {LATE, LOST}:
-        answer = product("one plant").answered_again(question, code, trouble)
-    else:
-        answer = without_decision(code, trouble) if trouble else Answer(decide(question))
-    return retuner.enter(question, answer.result, retuner.sample_number)
 
 
 def _order(retuner: Retuner, body: Mapping[str, Any], t_s: float) -> Decision | None:
@@ -175,12 +170,6 @@ def _order(retuner: Retuner, body: Mapping[str, Any], t_s: float) -> Decision | 
         case _:
             pass
     return None
-
-
-def record_of(body: Mapping[str, Any]) -> Window:
-    """The record of a commanded step as rows keep it; errors as Window."""
-    t_s, sp, pv, co = (np.array(body[name], dtype=np.float64) for name in ("t", "sp", "pv", "co"))
-    return Window(t_s, sp, pv, co)
 
 
 def gains_of(body: Mapping[str, Any]) -> PidGains:

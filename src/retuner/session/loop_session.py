@@ -35,11 +35,9 @@ from retuner.drivers.state_machine import StateMachine
 from retuner.ledger import Recorder
 from retuner.ledger.trend import Trend
 from retuner.schedule.table import GainTable
-from retuner.session.gain_writer import HOLD_SAMPLES, RETRY_SAMPLES, GainWriter
+from retuner.session.gain_writer import GainWriter
 from retuner.session.ledger_rows import HELD_BY, abort_cause, trouble
 from retuner.session.scenario import ScenarioPlayer
-
-__all__ = ["HOLD_SAMPLES", "RETRY_SAMPLES", "LoopSession"]
 
 DECISIONS_KEPT = 5000  # decisions that are kept for report and summary, the newest ones; the ledger has all of them
 UNSEEN_SAMPLES = 30
@@ -111,6 +109,7 @@ class LoopSession:
         self.trend = Trend(two=retuner.table.regions.second is not None)
         self.decisions: deque[Decision] = deque(maxlen=DECISIONS_KEPT)
         self.writer = GainWriter(device, retuner, record)
+        self.changes = self.writer.changes  # of the table: time and region
         self._to_ledger = record
         self._on_sample = on_sample
         self.frozen = ""
@@ -135,11 +134,6 @@ class LoopSession:
     def table(self) -> GainTable:
         """The gain table as it stands."""
         return self.retuner.table
-
-    @property
-    def changes(self) -> list[tuple[float, int]]:
-        """Changes of the table: time and region."""
-        return self.writer.changes
 
     @property
     def finished(self) -> bool:
@@ -200,7 +194,13 @@ class LoopSession:
         if self.machine.phase is SessionPhase.WATCHING and self.scenario.finished:
             self.machine.take(SessionInput.PLAYED)
         if self.machine.phase is not SessionPhase.WATCHING:
-            self._end(now_s)
+            self.writer.frozen = True
+            patience_s = END_PATIENCE_SAMPLES * self.retuner.settings.sample_time_s
+            self._ends_at_s = min(self._ends_at_s, now_s + patience_s)
+            home = self.bumps.planner.end(self.writer.t_s) if self.bumps is not None else None
+            if home is not None:
+                self._bump_told(home, now_s)
+            self._abort(TrialEvent.STOPPED)  # what is decided while the end waits is no exception
         self.writer.begin_due_write(now_s)
         if self.machine.phase in TO_END:
             # The end is reached when nothing is open; or the waiting time is over, and what is left open is said.
@@ -230,7 +230,18 @@ class LoopSession:
                 self.device.send_setpoint(step.sp, now_s)
             if step.load is not None:
                 self.device.send_load(step.load, now_s)
-        decision = self._observe(sample)
+        # a question that the sample raises is answered by decide.py, here and now or in another process, and the answer
+        # entered as a decision; with what ended a trial at this sample, if anything did: see Retuner.enter
+        taken = self.retuner.step(sample)
+        decision, raised = taken.decision, taken.question
+        if raised is not None:
+            self.decider.ask(raised)
+            answer = self.decider.answer(self.retuner.sample_number)
+            if answer is not None:
+                decision = self.retuner.enter(raised, answer.result, self.retuner.sample_number)
+            else:
+                name = self.table.regions.names[raised.record.region]
+                self._to_ledger("question", raised.t_s, {"asked": raised.sample_number, "region": name})
         region, running = self.retuner.region, self.device.running
         if region is not None and running is not None:
             self.trend.add(sample, region, running.gains)
@@ -273,21 +284,6 @@ class LoopSession:
     @property
     def _bumped(self) -> bool:
         return self.bumps is not None and self.bumps.planner.out
-
-    def _observe(self, sample: LoopSample) -> Decision | None:
-        """Have the retuner take a sample; a question that it raises is answered by decide.py, here and now or
-        in another process, and the answer entered as a decision.
-        """
-        step = self.retuner.step(sample)
-        if step.question is None:
-            return step.decision
-        self.decider.ask(step.question)
-        answer = self.decider.answer(self.retuner.sample_number)
-        if answer is not None:  # with what ended a trial at this sample, if anything did: see Retuner.enter
-            return self.retuner.enter(step.question, answer.result, self.retuner.sample_number)
-        region = self.table.regions.names[step.question.record.region]
-        self._to_ledger("question", step.question.t_s, {"asked": step.question.sample_number, "region": region})
-        return step.decision
 
     def _decided(self, decision: Decision) -> None:
         self.decisions.append(decision)
@@ -352,14 +348,6 @@ class LoopSession:
         decision = self.retuner.abort(cause)
         if decision is not None:
             self._decided(decision)
-
-    def _end(self, now_s: float) -> None:
-        self.writer.frozen = True
-        self._ends_at_s = min(self._ends_at_s, now_s + END_PATIENCE_SAMPLES * self.retuner.settings.sample_time_s)
-        home = self.bumps.planner.end(self.writer.t_s) if self.bumps is not None else None
-        if home is not None:
-            self._bump_told(home, now_s)
-        self._abort(TrialEvent.STOPPED)  # what is decided while the end waits is no exception
 
     def tell_what_is_open(self) -> None:
         """Record that the session ends without knowing that the verified set runs, if it is so."""

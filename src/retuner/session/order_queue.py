@@ -97,7 +97,17 @@ def shown(rows: Iterable[Row], found: OrderState | None = None) -> OrderState:
         found.last_s = max(found.last_s, row.clock_s)
         body = row.body
         if row.kind == "decision":
-            _decision(found, without_place(body))
+            body = without_place(body)
+            region, before, digest = str(body["region"]), gains_of(body["gains_before"]), digest_of(body)
+            number, after = int(body["number"]), body["gains_after"]
+            found.changes[number], found.in_force[region] = DecidedChange(region, before), before
+            if body["action"] == Action.ADVISE and after is not None:
+                found.newest[region], t_s = digest, float(body["t_s"])
+                found.proposals[digest] = Proposal(
+                    digest, number, region, t_s, before, gains_of(after), body.get("promise")
+                )
+            elif body["action"] == Action.WRITE:
+                found.tried[digest] = region
         elif row.kind == "committed" and body.get("why") == "retune":
             found.in_force[str(body["region"])] = gains_of(body["gains"])
         elif row.kind == "restore":
@@ -107,32 +117,15 @@ def shown(rows: Iterable[Row], found: OrderState | None = None) -> OrderState:
             region = str(body["region"])  # and the hash of its newest change
             found.waiting[region] = next((one for one in reversed(found.tried) if found.tried[one] == region), "")
         elif row.kind == "order":
-            _order(found, body)
+            found.files.add(str(body.get("file")))
+            if body.get("accepted") is True:
+                taken = found.rejected if body.get("order") == OrderKind.REJECT else found.approved
+                taken.add(str(body.get("digest")))
+                if found.waiting.get(str(body.get("region"))) == body.get("digest"):
+                    del found.waiting[str(body["region"])]
         elif row.kind == SCHEDULE:
             found.schedules[str(body["hash"])] = body
     return found
-
-
-def _order(found: OrderState, body: Mapping[str, Any]) -> None:
-    found.files.add(str(body.get("file")))
-    if body.get("accepted") is True:
-        (found.rejected if body.get("order") == OrderKind.REJECT else found.approved).add(str(body.get("digest")))
-        if found.waiting.get(str(body.get("region"))) == body.get("digest"):
-            del found.waiting[str(body["region"])]
-
-
-def _decision(found: OrderState, body: Mapping[str, Any]) -> None:
-    number, region, before = int(body["number"]), str(body["region"]), gains_of(body["gains_before"])
-    digest = digest_of(body)
-    found.changes[number] = DecidedChange(region, before)
-    found.in_force[region] = before
-    if body["action"] == Action.ADVISE and body["gains_after"] is not None:
-        found.newest[region] = digest
-        found.proposals[digest] = Proposal(
-            digest, number, region, float(body["t_s"]), before, gains_of(body["gains_after"]), body.get("promise")
-        )
-    elif body["action"] == Action.WRITE:
-        found.tried[digest] = region
 
 
 class Waiting(NamedTuple):
@@ -214,7 +207,6 @@ class OrderDesk:
         return (decision,) if decision is not None else ()
 
     def _one(self, found: OrderFile, before: Before | None, t_s: float) -> Decision | None:
-        """Record an order, then tell the retuner of it, or keep it until the loop is in its region."""
         body: dict[str, object] = {"file": one_line(found.name)[:LONGEST], "accepted": False, "due": False}
         if found.order is None:
             self._to_ledger("order", t_s, {**body, "reason": found.refused})
@@ -259,66 +251,55 @@ class OrderDesk:
         return region is not None and self._retuner.table.regions.names[region] == order.region
 
     def _meant(self, order: Order, before: Before | None) -> tuple[dict[str, object], str]:
-        """What an order means in full, and why it means nothing."""
         if before is not None and before.trouble:
             return {}, before.trouble
-        if order.kind is OrderKind.APPROVE:
-            return self._approved(order.digest, before)
-        if order.kind is OrderKind.REJECT:
-            return self._not_wanted(order.digest, before)
+        if order.kind in {OrderKind.APPROVE, OrderKind.REJECT}:
+            return self._of_hash(order, before)
         if order.kind is OrderKind.MODE:
             past = "it was meant for the session before this one" if before is not None else ""
             return {}, past or (self._no_such(order.region) if order.region else "")
         if order.kind is OrderKind.PROPOSE:
             return {}, self._closed(order.region)
         if order.kind is OrderKind.REVERT:
-            change = self._change(order.decision, before)
+            own = (DecidedChange(d.region, d.gains_before) for d in self._decisions if d.number == order.decision)
+            change = before.shown.changes.get(order.decision) if before is not None else next(own, None)
             if change is None:
                 return {}, f"no decision {order.decision} in that session"
             return {"region": change.region, "gains": gains_dict(change.before)}, ""
         return {}, self._closed(order.region) or self._not_at(order.region, TrialPhase.LOCKED)
 
-    def _change(self, number: int, before: Before | None) -> DecidedChange | None:
-        if before is not None:
-            return before.shown.changes.get(number)
-        found = (DecidedChange(d.region, d.gains_before) for d in self._decisions if d.number == number)
-        return next(found, None)
-
-    def _approved(self, digest: str, before: Before | None) -> tuple[dict[str, object], str]:
-        """A proposal, or a change that has passed its trial and waits for a person."""
-        if before is not None:
-            past = before.shown.proposals.get(digest)
-            if past is None:
-                return {"proposal": None}, f"no proposal {digest[:SHORT]} in that session"
-            reason = superseded(before.shown.successor(past)) or self._superseded(past)
-            return {"region": past.region, "proposal": past.to_dict()}, reason
-        decision = next((d for d in self._decisions if d.gains_after is not None and d.digest() == digest), None)
-        if decision is None:
-            return {"proposal": None}, f"no proposal {digest[:SHORT]} in this session"
-        proposal = Proposal.of(decision)
-        if digest in self._rejected:
-            return {"region": decision.region, "proposal": None}, "it was rejected"
-        if proposal is None:
-            return {"region": decision.region, "proposal": None}, self._not_waiting(decision)
-        return {"region": proposal.region, "proposal": proposal.to_dict()}, self._superseded(proposal)
-
-    def _not_wanted(self, digest: str, before: Before | None) -> tuple[dict[str, object], str]:
-        """A proposal that is closed, or a change that waits for a person and is rolled back."""
+    def _of_hash(self, order: Order, before: Before | None) -> tuple[dict[str, object], str]:
+        """What is approved, a proposal or a change that has passed its trial and waits for a person; or rejected: such
+        a change is rolled back.
+        """
+        digest, approves = order.digest, order.kind is OrderKind.APPROVE
+        where = "this session" if before is None else "that session"
+        unknown: dict[str, object] = {"proposal": None} if approves else {}
         if before is not None:
             past = before.shown.proposals.get(digest)
             if past is None:
-                return {}, f"no proposal {digest[:SHORT]} in that session"
+                return unknown, f"no proposal {digest[:SHORT]} in {where}"
+            if approves:
+                reason = superseded(before.shown.successor(past)) or self._superseded(past)
+                return {"region": past.region, "proposal": past.to_dict()}, reason
             reason = "it was approved in that session; order a revert to return to the gains before"
             return {"region": past.region, "tried": False}, reason * (digest in before.shown.approved)
         decision = next((d for d in self._decisions if d.gains_after is not None and d.digest() == digest), None)
         if decision is None:
-            return {}, f"no proposal {digest[:SHORT]} in this session"
-        if Proposal.of(decision) is not None:
-            # Why a proposal cannot be rejected any more, empty when it can: it was approved, and its gains are written.
-            number, written = self._taken_up.get(digest), "it was approved before, and written with decision"
-            back = f"{written} {number}; to roll it back, order a revert of decision {number}"
-            return {"region": decision.region, "tried": False}, back if number is not None else ""
-        return {"region": decision.region, "tried": True}, self._not_waiting(decision)
+            return unknown, f"no proposal {digest[:SHORT]} in {where}"
+        proposal, region = Proposal.of(decision), decision.region
+        if approves and digest in self._rejected:
+            return {"region": region, "proposal": None}, "it was rejected"
+        if proposal is None:
+            return {"region": region} | ({"proposal": None} if approves else {"tried": True}), self._not_waiting(
+                decision
+            )
+        if approves:
+            return {"region": region, "proposal": proposal.to_dict()}, self._superseded(proposal)
+        # A proposal cannot be rejected any more once it was approved, and its gains are written
+        number, written = self._taken_up.get(digest), "it was approved before, and written with decision"
+        back = f"{written} {number}; to roll it back, order a revert of decision {number}"
+        return {"region": region, "tried": False}, back if number is not None else ""
 
     def _superseded(self, proposal: Proposal) -> str:
         """Why a proposal may not be taken up any more, empty unless this session has made a newer one of its region."""

@@ -16,7 +16,7 @@ import os
 import re
 import secrets
 import stat
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from enum import StrEnum
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -214,29 +214,24 @@ class OrderBox:
         if changed == self._changed and not self._more and self._turns % LOOK_ANYWAY:
             return []
         self._changed = changed
-        names = sorted(self._waiting())
-        self._more = len(names) > MOST_AT_ONCE
-        return [self._one(name) for name in names[:MOST_AT_ONCE]]
-
-    def _waiting(self) -> Iterator[str]:
-        """Names of what lies there and is not half written; subfolders are where the taken ones are."""
+        # what lies there and is not half written; subfolders are where the taken ones are
+        names, put_away = list[str](), self._done | {TAKEN, REFUSED}
         with contextlib.suppress(OSError), os.scandir(self._text) as entries:
-            for entry in entries:
-                if not entry.name.startswith(".") and entry.name not in self._done | {TAKEN, REFUSED}:
-                    yield entry.name
-
-    def _one(self, name: str) -> OrderFile:
-        """Read a file and put it away; what cannot be put away is remembered."""
-        self._done.add(name)
-        try:
-            found = OrderFile(name, read_order(self._folder / name), "")
-        except ValueError as error:
-            found = OrderFile(name, None, str(error))
-        except OSError as error:
-            found = OrderFile(name, None, f"cannot be read: {error.strerror}")
-        where = TAKEN if found.order else REFUSED
-        with contextlib.suppress(OSError):
-            (self._folder / where).mkdir(exist_ok=True)
-            (self._folder / name).rename(self._folder / where / name)
-            self._done.discard(name)
-        return found
+            names = sorted(one.name for one in entries if not one.name.startswith(".") and one.name not in put_away)
+        self._more = len(names) > MOST_AT_ONCE
+        taken = []
+        for name in names[:MOST_AT_ONCE]:
+            self._done.add(name)
+            try:
+                found = OrderFile(name, read_order(self._folder / name), "")
+            except ValueError as error:
+                found = OrderFile(name, None, str(error))
+            except OSError as error:
+                found = OrderFile(name, None, f"cannot be read: {error.strerror}")
+            taken.append(found)
+            where = TAKEN if found.order else REFUSED
+            with contextlib.suppress(OSError):  # what cannot be put away is remembered
+                (self._folder / where).mkdir(exist_ok=True)
+                (self._folder / name).rename(self._folder / where / name)
+                self._done.discard(name)
+        return taken

@@ -281,7 +281,11 @@ def session_identity(
     session : as read, with the bus that is meant. text : as its author wrote it. changes : (section, key) to its value,
     as the command line has it.
     """
-    text = text_as_run(text, replace(session, loops=tuple(_in_mode(one, changes) for one in session.loops)), changes)
+    in_mode = []
+    for one in session.loops:
+        mode = changes.get(("adaptation", "mode"), one.adaptation.mode)
+        in_mode.append(one.model_copy(update={"adaptation": one.adaptation.model_copy(update={"mode": mode})}))
+    text = text_as_run(text, replace(session, loops=tuple(in_mode)), changes)
     seeds = [one.device.seed if one.device else None for one in session.loops]
     return text, {
         "versions": versions(),
@@ -289,11 +293,6 @@ def session_identity(
         "config_sha256": hashlib.sha256(text.encode()).hexdigest(),
         "overrides": {".".join(place): value for place, value in changes.items()},
     }
-
-
-def _in_mode(config: Config, changes: Mapping[tuple[str, str], str | bool]) -> Config:
-    mode = changes.get(("adaptation", "mode"), config.adaptation.mode)
-    return config.model_copy(update={"adaptation": config.adaptation.model_copy(update={"mode": mode})})
 
 
 def file_sha256(*paths: Path) -> str | None:

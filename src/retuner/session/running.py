@@ -6,10 +6,10 @@ bench_or_buses.py says what the places are like; here the session is put togethe
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from retuner.adaptive.guard.step_size import SAME_GAINS, change_factor
 from retuner.adaptive.setpoint_bumps.bump_settings import BumpSettings
@@ -34,7 +34,7 @@ from retuner.session.assembly import device_settings, make_device, make_retuner,
 from retuner.session.bench_or_buses import POLLS_PER_SAMPLE, HostBuses, VirtualBench, before, live_buses, virtual_bench
 from retuner.session.ledger_rows import bump_left
 from retuner.session.loop_session import LoopSession
-from retuner.session.memory_file import MemoryFile, NoMemoryError, Remembered, recall
+from retuner.session.memory_file import MemoryFile, NoMemoryError, recall
 from retuner.session.order_queue import OrderDesk, left_before
 from retuner.session.orders import OrderBox
 from retuner.session.outputs import LEDGER, believed_rows, loop_folder, rows_by_loop
@@ -66,55 +66,34 @@ def to_the_end(session: Session | LoopSession, once: Callable[[], None]) -> None
     try:
         while not session.finished:
             once()
-    except KeyboardInterrupt:
-        session.stop("stopped by the user")
-        _end(session, once)
+    except BaseException as ending:
+        if isinstance(ending, KeyboardInterrupt):
+            session.stop("stopped by the user")
+        else:
+            session.fail(f"{type(ending).__name__}: {ending}")
+        if session.seen:  # the turns that a session which was told to end still needs
+            try:
+                while not session.finished:
+                    once()
+            finally:
+                session.tell_what_is_open()
         raise
-    except BaseException as defect:
-        session.fail(f"{type(defect).__name__}: {defect}")
-        _end(session, once)
-        raise
-
-
-def _end(session: Session | LoopSession, once: Callable[[], None]) -> None:
-    """The turns that a session which was told to end still needs."""
-    if session.seen:
-        try:
-            while not session.finished:
-                once()
-        finally:
-            session.tell_what_is_open()
-
-
-class _Before(NamedTuple):
-    """The session that was in the folder before. known : its rows by loop, where they were read once for all."""
-
-    folder: Path | None
-    known: Mapping[str, Sequence[Row]]
-
-
-def _before(folder: Path | None, config: SessionConfig) -> _Before:
-    """What is known of the session before; a ledger that cannot be believed is told by whoever wants to use it."""
-    if folder is None or not config.several:
-        return _Before(folder, {})
-    try:
-        return _Before(folder, rows_by_loop(believed_rows(folder / LEDGER), config.names))
-    except LedgerError:
-        return _Before(folder, {})
 
 
 class _RunningLoop:
     """One loop of a run, before and while it is watched.
 
-    config : its. run : that it belongs to. folder : of the session, None where nothing is kept. before : the session
-    that was there before.
+    config : its. run : that it belongs to. folder : of the session, None where nothing is kept. before : that of the
+    session which was there before. known : its rows about this loop, where they were read once for all.
     """
 
-    def __init__(self, config: Config, run: "Run", folder: Path | None, before: "_Before") -> None:
+    def __init__(
+        self, config: Config, run: "Run", folder: Path | None, before: Path | None, known: Sequence[Row] | None
+    ) -> None:
         self.config, self._run = config, run
         self._name = name = config.loop.name if run.config.several else ""
         self._folder = loop_folder(folder, name) if folder is not None else None
-        self._before, self._known = before.folder, before.known.get(name)
+        self._before, self._known = before, known
         self.record = LoopRecorder(run.keep, name, run.observer, run.ledger_failed)
         self.pretuning: Pretuning | None = None
         if config.adaptation.pretune:
@@ -125,7 +104,16 @@ class _RunningLoop:
         """The loop's session on its port. remember : go on with what was learned before, and keep what is learned."""
         if self._folder is not None:
             self._folder.mkdir(parents=True, exist_ok=True)
-        remembered, why_not = self._recalled() if remember else (None, "")
+        # what the session before this one has learned, if it can be trusted; why not is said in a line
+        remembered, why_not = None, ""
+        if remember:
+            settings = retuner_settings(self.config, self._run.mode)
+            try:
+                remembered = recall(self._before, self.config, settings, self._name, self._known)
+            except NoMemoryError as none:
+                why_not = str(none)
+                if why_not:
+                    self._say(why_not)
         device = make_device(self.config, port, speed, after_s=remembered.last_s if remembered is not None else None)
         retuner = remembered.retuner if remembered is not None else make_retuner(self.config, self._run.mode)
         player = ScenarioPlayer(self.config.scenario)
@@ -141,7 +129,14 @@ class _RunningLoop:
                 device.fits = lambda gains: any(change_factor(gains, one) <= SAME_GAINS for one in retuner.table.gains)
         hour_of = local_hour if remember and speed == 1.0 else hour_of_samples
         bumps = LoopBumps(BumpSettings(**self.config.adaptation.bumps.model_dump()), retuner, hour_of)
-        session.bumps = with_what_was_left(bumps, self._rows_before if remember else tuple, self._say)
+
+        def rows_before() -> Sequence[Row]:
+            path = self._before / LEDGER if remember and self._before is not None else None
+            if not remember or self._known is not None or path is None or not path.exists():
+                return (self._known or ()) if remember else ()
+            return believed_rows(path)
+
+        session.bumps = with_what_was_left(bumps, rows_before, self._say)
         if remember and self._folder is not None:
             memory = MemoryFile(self._folder, self.config, self.record)
             memory.begin(remembered, why_not)
@@ -159,11 +154,6 @@ class _RunningLoop:
             session.orders = self.pretuning.decisions(retuner, session.orders)
         return session
 
-    def _rows_before(self) -> Sequence[Row]:
-        if self._known is not None or self._before is None:
-            return self._known or ()
-        return believed_rows(self._before / LEDGER) if (self._before / LEDGER).exists() else ()
-
     def pretune(self, port: FramePort, clock: Clock, turn: Callable[[], None], speed: float = 1.0) -> None:
         """The commanded step before the session, on a link of its own."""
         if self.pretuning is None:
@@ -179,17 +169,6 @@ class _RunningLoop:
             self.pretuning.conduct(device, settings.silent_s, turned)
         finally:
             device.release(clock.now_s())
-
-    def _recalled(self) -> tuple[Remembered | None, str]:
-        """What the session before this one has learned, if it can be trusted; why not is said in a line."""
-        try:
-            return recall(
-                self._before, self.config, retuner_settings(self.config, self._run.mode), self._name, self._known
-            ), ""
-        except NoMemoryError as why_not:
-            if str(why_not):
-                self._say(str(why_not))
-            return None, str(why_not)
 
     def _say(self, text: str) -> None:
         self._run.observer.said(f"{self._name}: {text}" if self._name else text)
@@ -244,8 +223,11 @@ class Run:
         self.session: Session | None = None
         self.stopped_plants: Sequence[str] = ()
         self.ended_by = ""
-        earlier = _before(before, self.config)
-        self._loops = [_RunningLoop(one, self, folder, earlier) for one in self.config.loops]
+        known: Mapping[str, Sequence[Row]] = {}
+        if before is not None and self.config.several:
+            with suppress(LedgerError):  # told by whoever wants to use it
+                known = rows_by_loop(believed_rows(before / LEDGER), self.config.names)
+        self._loops = [_RunningLoop(one, self, folder, before, known.get(one.loop.name)) for one in self.config.loops]
 
     def ledger_failed(self, reason: str) -> None:
         """The ledger takes no more rows: every loop comes to its end."""
@@ -272,8 +254,17 @@ class Run:
     @contextmanager
     def bench(self) -> Iterator[tuple[Session, VirtualBench]]:
         """The session on a virtual bench, for whoever makes the turns himself."""
-        first = self._pretune_simulated if self._pretunes else None
-        with virtual_bench(self.config, self.observer.said, self._log, first) as bench:
+
+        def first(bench: VirtualBench) -> None:
+            """The commanded steps: nobody may interrupt what devices and host share."""
+
+            def turn() -> None:
+                with unstoppable():
+                    bench.turn()
+
+            self._pretune(bench.buses, bench.clock, turn)
+
+        with virtual_bench(self.config, self.observer.said, self._log, first if self._pretunes else None) as bench:
             deciders = [DecideHere(one.adaptation.decision_delay_samples) for one in self.config.loops]
             yield self._begin(bench.buses, deciders), bench
 
@@ -319,15 +310,6 @@ class Run:
         buses.keep_leases([loop.device for loop in loops])
         self.session = Session(loops, self.observer.said)
         return self.session
-
-    def _pretune_simulated(self, bench: VirtualBench) -> None:
-        """The commanded steps on the virtual bench: nobody may interrupt what devices and host share."""
-
-        def turn() -> None:
-            with unstoppable():
-                bench.turn()
-
-        self._pretune(bench.buses, bench.clock, turn)
 
     def _pretune(self, buses: HostBuses, clock: Clock, turn: Callable[[], None], speed: float = 1.0) -> None:
         for i, loop in enumerate(self._loops):
