@@ -23,8 +23,7 @@ from retuner.cli import main
 from retuner.commands.experiment import proposed
 from retuner.commands.options import RecordOptions
 from retuner.commands.recorded.diagnose import command_for
-from retuner.commands.recorded.record_options import renamed
-from retuner.commands.recorded.recorded_loop import controller, read_loop
+from retuner.commands.recorded.recorded_loop import controller, read_loop, renamed
 from retuner.decision_page.evidence_words import GROUPS, WORDS, evidence_lines, value_text
 from retuner.errors import UserError
 

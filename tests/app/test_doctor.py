@@ -9,9 +9,9 @@ from types import SimpleNamespace
 import pytest
 from command_line import answer, refused, run
 
-from retuner import doctor
 from retuner.cli import main
-from retuner.doctor import Level, MachineFinding, findings
+from retuner.commands import doctor
+from retuner.commands.doctor import Level, MachineFinding, findings
 from retuner.drivers.device import BusError
 
 

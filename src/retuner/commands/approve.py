@@ -6,7 +6,7 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from retuner.adaptive.orders.pending_proposal import Proposal, ProposalStanding
+from retuner.adaptive.orders.pending_proposal import ProposalStanding
 from retuner.adaptive.supervision.decision import gains_dict
 from retuner.commands.options import tell
 from retuner.commands.signatures import ApproveOptions, RevertOptions
@@ -24,8 +24,6 @@ from retuner.schedule.plain_values import plain_values
 from retuner.session.order_queue import SHORT, OrderState, shown, superseded
 from retuner.session.orders import Order, OrderKind, put_order
 from retuner.session.outputs import CONFIG, GAINS, LEDGER, believed_rows, ledger_path, loop_folder, rows_by_loop
-
-SHORTEST = SHORT  # hexadecimal digits of a hash that a person has to give at least
 
 
 def _name(options: ApproveOptions | RevertOptions) -> str:
@@ -71,6 +69,7 @@ class LoopPlace:
         self.session, self.config, self.shown = ledger.parent, config, shown
         self.name = config.loop.name if several else ""
         self.folder = loop_folder(self.session, self.name)
+        self.expires_after_s = config.adaptation.approval_s  # how long a proposal is open
         self._ledger = ledger
 
     @property
@@ -78,11 +77,6 @@ class LoopPlace:
         """Why nothing is written to its controller; empty when it is."""
         told: str = product("foreign device").advice_only(self.config) if self.config.foreign_device else ""
         return told
-
-    @property
-    def expires_after_s(self) -> float:
-        """How long a proposal is open."""
-        return self.config.adaptation.approval_s
 
     def running(self) -> bool:
         """Whether a session fills the folder right now."""
@@ -145,7 +139,7 @@ def approve(options: ApproveOptions) -> int:
     if full in place.shown.schedules:
         return _take_up(place, full, options)
     if options.into is not None:
-        raise UserError(f"--into: is for a proposed schedule; {full[:SHORTEST]} is a change of gains")
+        raise UserError(f"--into: is for a proposed schedule; {full[:SHORT]} is a change of gains")
     # Put the approval of a change into the session's folder; the exit status, 1 where it is not approved
     reason = _closed(place, full)
     document: dict[str, object] = {
@@ -156,7 +150,7 @@ def approve(options: ApproveOptions) -> int:
     }
     if not reason:
         document["file"] = str(place.put(OrderKind.APPROVE, options, digest=full))
-    text = f"{full[:SHORTEST]} is not approved: {reason}" if reason else f"{full[:SHORTEST]}: {place.who_acts()}"
+    text = f"{full[:SHORT]} is not approved: {reason}" if reason else f"{full[:SHORT]}: {place.who_acts()}"
     tell(document, [text], as_json=as_json)
     return 1 if reason else 0
 
@@ -168,12 +162,12 @@ def _take_up(place: LoopPlace, full: str, options: ApproveOptions) -> int:
     """
     into = options.into
     if into is None:
-        raise UserError(f"{full[:SHORTEST]}: is a schedule; name the configuration that gets it with --into")
-    with user_input(f"proposal {full[:SHORTEST]}"):
+        raise UserError(f"{full[:SHORT]}: is a schedule; name the configuration that gets it with --into")
+    with user_input(f"proposal {full[:SHORT]}"):
         table = from_toml(str(place.shown.schedules[full]["table"]))
     today = dt.datetime.now(dt.UTC).date().isoformat()
     why = f": {options.note}" if options.note else ""
-    note = one_line(f"proposal {full[:SHORTEST]} of {place.session}, approved by {_name(options)} on {today}{why}")
+    note = one_line(f"proposal {full[:SHORT]} of {place.session}, approved by {_name(options)} on {today}{why}")
     # What a session ran is its record: a replay reads it
     if (into.resolve().parent / LEDGER).exists():
         raise UserError(f"--into {into}: belongs to the session recorded there; name the configuration of the next run")
@@ -185,7 +179,7 @@ def _take_up(place: LoopPlace, full: str, options: ApproveOptions) -> int:
     write_whole(into, written.text)
     document = {"session": str(place.session), "approved": full, "schedule": str(into), "comments": written.comments}
     parts = f"{len(table.gains)} regions along {table.regions.axes[0].label}"
-    told = f"{into}: has the schedule {full[:SHORTEST]} now, {parts}; its next run uses it"
+    told = f"{into}: has the schedule {full[:SHORT]} now, {parts}; its next run uses it"
     if written.comments:
         told += f"; comments on {written.comments} lines of the old section were lost with it"
     tell(document, [told], as_json=options.as_json)
@@ -236,9 +230,9 @@ def _full_hash(found: Sequence[LoopPlace], digest: str) -> tuple[LoopPlace, str]
     known = [
         (place, one) for place in found for one in (*place.shown.proposals, *place.shown.tried, *place.shown.schedules)
     ]
-    if len(digest) < SHORTEST or set(digest) - set("0123456789abcdef"):
+    if len(digest) < SHORT or set(digest) - set("0123456789abcdef"):
         raise UserError(
-            f"HASH {digest}: give at least {SHORTEST} hexadecimal digits of a proposal's hash; "
+            f"HASH {digest}: give at least {SHORT} hexadecimal digits of a proposal's hash; "
             f"`retuner approve {session}` lists them"
         )
     meant = [(place, one) for place, one in known if one.startswith(digest)]
@@ -252,67 +246,45 @@ def _full_hash(found: Sequence[LoopPlace], digest: str) -> tuple[LoopPlace, str]
 
 
 def _list(found: Sequence[LoopPlace], options: ApproveOptions) -> int:
-    """The open proposals of some loops, the newest of each region."""
-    documents, lines = [], []
+    """The open proposals of some loops, the newest of each region, each as a document and in a line."""
+    documents, lines = list[dict[str, object]](), list[str]()
     for place in found:
-        document, text = _of_loop(place, every=options.every)
-        documents.append(document)
-        lines += text
-    if not found[0].name:
-        tell(documents[0], lines, as_json=options.as_json)
-        return 0
-    tell({"session": str(found[0].session), "loops": documents}, lines, as_json=options.as_json)
+        seen, able = place.shown, place.shown.open(place.expires_after_s)
+        newest = [one for one in able if not seen.successor(one)]
+        older = len(able) - len(newest)
+        proposals = list[dict[str, object]]()
+        for one in able if options.every else newest:
+            successor, expires_s = seen.successor(one), one.t_s + place.expires_after_s
+            beaten = sum(other.region == one.region for other in able) - 1
+            told = f"superseded by {successor[:SHORT]}" if successor else f"supersedes {beaten} older" if beaten else ""
+            change = f"{settings_text(one.before)} -> {settings_text(one.after)}; expires at {expires_s:,.0f} s"
+            more = "".join(f"; {text}" for text in (told, place.by_hand) if text)
+            lines.append(f"{one.digest[:SHORT]}  decision {one.number}, {one.region}: {change}{more}")
+            proposals.append(
+                plain_values(one, "hash=digest decision=number region t_s")
+                | {"expires_s": expires_s}
+                | plain_values(one, "gains_before=before gains_after=after")
+                | {"superseded_by": successor or None}
+            )
+        for region, digest in seen.waiting.items():
+            why = "trial passed, as predicted; approve it to continue in this region"
+            lines.append(f"{digest[:SHORT]}  {region}: {why}")
+        for digest, body in seen.schedules.items():
+            lines.append(f"{digest[:SHORT]}  schedule: {body['reason']} Approve it with --into CONFIG")
+        hidden = f" (and {older} superseded; --all lists them)" if older and not options.every else ""
+        counted = f"{len(newest)} open proposal{'s' * (len(newest) != 1)} at {seen.last_s:,.0f} s"
+        lines.append(f"{place.name or place.session}: {counted}{hidden}")
+        documents.append(
+            {
+                "session": str(place.session),
+                **({"loop": place.name} if place.name else {}),
+                "time_s": seen.last_s,
+                "waiting": [{"hash": digest, "region": region} for region, digest in seen.waiting.items()],
+                "superseded": older,
+                "proposals": proposals,
+                "schedules": [{"hash": digest, **body["proposal"]} for digest, body in seen.schedules.items()],
+            }
+        )
+    whole = {"session": str(found[0].session), "loops": documents} if found[0].name else documents[0]
+    tell(whole, lines, as_json=options.as_json)
     return 0
-
-
-def _of_loop(place: LoopPlace, *, every: bool) -> tuple[dict[str, object], list[str]]:
-    """The open proposals of a loop as a document, and in lines."""
-    able = place.shown.open(place.expires_after_s)
-    proposals = [one for one in able if not place.shown.successor(one)]
-    older = len(able) - len(proposals)
-    waiting = [{"hash": digest, "region": region} for region, digest in place.shown.waiting.items()]
-    document: dict[str, object] = {
-        "session": str(place.session),
-        **({"loop": place.name} if place.name else {}),
-        "time_s": place.shown.last_s,
-        "waiting": waiting,
-        "superseded": older,
-        "proposals": [_listed(place, one) for one in (able if every else proposals)],
-        "schedules": [{"hash": one, **body["proposal"]} for one, body in place.shown.schedules.items()],
-    }
-    lines = [_line(place, one, able) for one in (able if every else proposals)]
-    lines += [
-        f"{one['hash'][:SHORTEST]}  {one['region']}: trial passed, as predicted; approve it to continue in this region"
-        for one in waiting
-    ]
-    lines += [
-        f"{one[:SHORTEST]}  schedule: {body['reason']} Approve it with --into CONFIG"
-        for one, body in place.shown.schedules.items()
-    ]
-    hidden = f" (and {older} superseded; --all lists them)" if older and not every else ""
-    lines.append(
-        f"{place.name or place.session}: {len(proposals)} open proposal{'s' * (len(proposals) != 1)} at "
-        f"{place.shown.last_s:,.0f} s{hidden}"
-    )
-    return document, lines
-
-
-def _line(place: LoopPlace, proposal: Proposal, able: Sequence[Proposal]) -> str:
-    """A proposal in one line; able : all of which some may be older ones of its region."""
-    successor = place.shown.successor(proposal)
-    older, by_hand = sum(one.region == proposal.region for one in able) - 1, place.by_hand
-    told = f"superseded by {successor[:SHORTEST]}" if successor else f"supersedes {older} older" if older else ""
-    return (
-        f"{proposal.digest[:SHORTEST]}  decision {proposal.number}, {proposal.region}: "
-        f"{settings_text(proposal.before)} -> {settings_text(proposal.after)}; expires at "
-        f"{proposal.t_s + place.expires_after_s:,.0f} s{f'; {told}' * bool(told)}{f'; {by_hand}' * bool(by_hand)}"
-    )
-
-
-def _listed(place: LoopPlace, proposal: Proposal) -> dict[str, object]:
-    return {
-        **plain_values(proposal, "hash=digest decision=number region t_s"),
-        "expires_s": proposal.t_s + place.expires_after_s,
-        **plain_values(proposal, "gains_before=before gains_after=after"),
-        "superseded_by": place.shown.successor(proposal) or None,
-    }

@@ -3,18 +3,13 @@
 import json
 import math
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from retuner.commands.options import Json
 from retuner.errors import UserError
-
-if TYPE_CHECKING:  # slow to load, and `--help` needs none of it
-    from retuner.drivers.conformance.examination import Examination
-
 
 app = typer.Typer(add_completion=False)
 
@@ -42,7 +37,36 @@ def conformance(
     for name, value in (("--sample-time", sample_time), ("--speed", speed)):
         if value is not None and not 0 < value < math.inf:
             raise UserError(f"{name} {value}: give a positive number")
-    found = _examined(interface, channel, node, sample_time, speed, key_file, trial_samples, restart=restart)
+    from retuner.drivers.bus.bus import CanLink, LinkSettings
+    from retuner.drivers.clock import MonotonicClock
+    from retuner.drivers.conformance.chapters import chapters, nodes_heard, sample_time_of
+    from retuner.drivers.conformance.conversation import Conversation, NoAnswerError, OnBus
+    from retuner.drivers.conformance.examination import examine
+    from retuner.drivers.host.key_file import read_key
+
+    clock, place = MonotonicClock(), f"{interface} {channel}"
+    key = None if key_file is None else read_key(key_file)
+    with CanLink(LinkSettings(interface=interface, channel=channel), clock) as link:
+        node = _the_node(nodes_heard(link, clock), place) if node is None else node
+        there = f"node {node} on {place}"
+        sample_s = sample_time or sample_time_of(link, clock, node)
+        if not sample_s:
+            raise UserError(f"{there}: no Identity; is it there, and its number right?")
+
+        def power_cycle() -> bool:
+            if not restart:
+                return False
+            sys.stderr.write("switch the device off and on, then press Enter\n")
+            sys.stderr.flush()
+            done = sys.stdin.readline() != ""
+            link.wait_until(clock.now_s() + 1.0)
+            return done
+
+        far = OnBus(link, clock, node, sample_s / speed, power_cycle)
+        try:
+            found = examine(Conversation(far, node, key), chapters(trial_samples))
+        except NoAnswerError as error:
+            raise UserError(f"{there}: {error}; is it there, and its number right?") from None
     if as_json:
         findings = [{"chapter": one.chapter, "said": one.said} for one in found.findings]
         document = {"tried": found.tried, "findings": findings, "left_out": found.left_out}
@@ -55,44 +79,6 @@ def conformance(
     return int(bool(found.findings))
 
 
-def _examined(
-    interface: str,
-    channel: str,
-    given: int | None,
-    sample_time: float | None,
-    speed: float,
-    key_file: Path | None,
-    trial_samples: int,
-    *,
-    restart: bool,
-) -> "Examination":
-    from retuner.drivers.bus.bus import CanLink, LinkSettings
-    from retuner.drivers.clock import MonotonicClock
-    from retuner.drivers.conformance.chapters import chapters, nodes_heard, sample_time_of
-    from retuner.drivers.conformance.conversation import Conversation, NoAnswerError, OnBus
-    from retuner.drivers.conformance.examination import examine
-    from retuner.drivers.host.key_file import read_key
-
-    clock, place = MonotonicClock(), f"{interface} {channel}"
-    key = None if key_file is None else read_key(key_file)
-    with CanLink(LinkSettings(interface=interface, channel=channel), clock) as link:
-        node = _the_node(nodes_heard(link, clock), place) if given is None else given
-        sample_s = sample_time or sample_time_of(link, clock, node)
-        if not sample_s:
-            raise UserError(f"node {node} on {place}: no Identity; is it there, and its number right?")
-        far = OnBus(
-            link,
-            clock,
-            node,
-            sample_s / speed,
-            _power_cycle(link.wait_until, clock.now_s) if restart else lambda: False,
-        )
-        try:
-            return examine(Conversation(far, node, key), chapters(trial_samples))
-        except NoAnswerError as error:
-            raise UserError(f"node {node} on {place}: {error}; is it there, and its number right?") from None
-
-
 def _the_node(heard: list[int], place: str) -> int:
     if len(heard) == 1:
         sys.stderr.write(f"node {heard[0]} found\n")
@@ -100,14 +86,3 @@ def _the_node(heard: list[int], place: str) -> int:
     if heard:
         raise UserError(f"{place}: nodes {', '.join(map(str, heard))} send samples; name one by --node")
     raise UserError(f"{place}: no device sends whole samples; is one there? Name it by --node if it sends none")
-
-
-def _power_cycle(wait_until: Callable[[float], None], now_s: Callable[[], float]) -> Callable[[], bool]:
-    def asked() -> bool:
-        sys.stderr.write("switch the device off and on, then press Enter\n")
-        sys.stderr.flush()
-        done = sys.stdin.readline() != ""
-        wait_until(now_s() + 1.0)
-        return done
-
-    return asked

@@ -2,16 +2,13 @@
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from retuner.commands.options import Channel, Interface, Loop, all_on_bus
 from retuner.errors import UserError, one_line
 from retuner.templates import starter
-
-if TYPE_CHECKING:  # slow to load, and `--help` needs none of it
-    from retuner.config.session_config import SessionConfig
 
 app = typer.Typer(add_completion=False)
 
@@ -29,9 +26,12 @@ def device(
     loop: Loop = None,
 ) -> int:
     """Run a virtual controller with a simulated plant on a CAN bus, until stopped; of several loops, all."""
-    # the configuration of the file, or of a profile's example
     from retuner.config.loading import load_session, parse_session
     from retuner.config.session_config import SessionConfig
+    from retuner.drivers.clock import MonotonicClock
+    from retuner.drivers.controller.device_process import fresh_epoch, run_devices
+    from retuner.session.bench_or_buses import far_ends
+    from retuner.stopping import stoppable
 
     if (path is None) == (not profile):
         raise UserError("give a configuration file, or --profile odrive, cia402 or cia404: one of them")
@@ -48,40 +48,25 @@ def device(
             "bus.interface = virtual reaches no other process: give --interface udp_multicast --channel 239.74.163.2, "
             "or socketcan and its interface; `retuner run` needs no device for virtual"
         )
-    _be(SessionConfig(configs, session.several), speed, duration or float("inf"))
+    until_s, clock = duration or float("inf"), MonotonicClock(speed)
+    with far_ends(SessionConfig(configs, session.several), speed, clock, fresh_epoch, _say) as devices:
+        for config in configs:
+            at = f"node {config.node} on {config.bus.interface} {config.bus.channel}"
+            _say(f"{config.loop.name}: {at}, {speed:g} times real time; Ctrl-C ends it")
+        stopped: KeyboardInterrupt | None = None
+        try:
+            with stoppable():
+                run_devices(devices, clock, until_s=until_s)
+        except KeyboardInterrupt as stop:
+            stopped = stop
+        samples, overruns = sum(one.samples for one in devices), sum(one.overruns for one in devices)
+        slow = f": this machine is too slow for --speed {speed:g}" * (overruns > MANY_OVERRUNS * samples)
+        _say(f"{samples} samples, {overruns} overruns{slow}")
+    if stopped is not None:
+        raise stopped
     return 0
 
 
 def _say(text: str) -> None:
     sys.stderr.write(f"{one_line(text)}\n")
     sys.stderr.flush()
-
-
-def _be(session: "SessionConfig", speed: float, until_s: float) -> None:
-    """The controllers on their buses, until their time is over or somebody stops them."""
-    from retuner.drivers.clock import MonotonicClock
-    from retuner.drivers.controller.device_process import fresh_epoch, run_devices
-    from retuner.session.bench_or_buses import far_ends
-    from retuner.stopping import stoppable
-
-    clock = MonotonicClock(speed)
-    with far_ends(session, speed, clock, fresh_epoch, _say) as devices:
-        for config in session.loops:
-            bus = config.bus
-            sys.stderr.write(
-                f"{config.loop.name}: node {config.node} on {bus.interface} {bus.channel}, "
-                f"{speed:g} times real time; Ctrl-C ends it\n"
-            )
-        sys.stderr.flush()
-        try:
-            with stoppable():
-                report = run_devices(devices, clock, until_s=until_s)
-        except KeyboardInterrupt:
-            _told(sum(one.samples for one in devices), sum(one.overruns for one in devices), speed)
-            raise
-    _told(report.samples, report.overruns, speed)
-
-
-def _told(samples: int, overruns: int, speed: float) -> None:
-    slow = f": this machine is too slow for --speed {speed:g}" * (overruns > MANY_OVERRUNS * samples)
-    sys.stderr.write(f"{samples} samples, {overruns} overruns{slow}\n")

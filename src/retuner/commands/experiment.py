@@ -15,7 +15,7 @@ from retuner.adaptive.experiments.valve_test import SHORT, STAIRCASE, read_valve
 from retuner.adaptive.explanations.proposed_test import TestKind
 from retuner.adaptive.rules.registry import rule_named
 from retuner.commands.options import check_plot, on_bus, tell
-from retuner.commands.recorded.record_options import read_record, tell_assumed
+from retuner.commands.recorded.recorded_loop import read_record, tell_assumed
 from retuner.commands.signatures import (
     ControllerOptions,
     OnDemandOptions,
@@ -44,8 +44,7 @@ from retuner.experiment.findings import (
     headline,
     valve_described,
 )
-from retuner.experiment.on_demand import OnDemandExperiment
-from retuner.experiment.result import RECORD
+from retuner.experiment.on_demand import RECORD, OnDemandExperiment
 from retuner.experiment.target import DEFAULT_DEVIATION, DEFAULT_SAMPLES, DEFAULT_SHARE, REST_WAIT_SAMPLES
 from retuner.files import write_whole
 from retuner.ledger import Ledger

@@ -49,7 +49,9 @@ def export(
         raise UserError(f"--controller: --format {form} carries kp, ki and kd; only csv has a controller's own numbers")
     if form and into is not None and out is not None and out.resolve() == into.resolve():
         raise UserError("--out and --into name one file; give two")
-    file = _table_of(path) if path.is_dir() else path
+    file = path / GAINS if path.is_dir() else path
+    if path.is_dir() and not file.is_file() and (loops := sorted(path.glob(f"loops/*/{GAINS}"))):
+        raise UserError(f"{path}: has a gain table a loop, give one of {', '.join(map(str, loops))}")
     table = _read(file)
     if form:
         suffix, writer = FORMATS[form]
@@ -72,14 +74,6 @@ def export(
         _put(into, text)
         sys.stdout.write(f"{into}: " + ("; ".join(told) or "has these gains already") + "\n")
     return 0
-
-
-def _table_of(folder: Path) -> Path:
-    """The gain table of a run; where a session has several, they are named."""
-    own, loops = folder / GAINS, sorted(folder.glob(f"loops/*/{GAINS}"))
-    if loops and not own.is_file():
-        raise UserError(f"{folder}: has a gain table a loop, give one of {', '.join(map(str, loops))}")
-    return own
 
 
 def _read(path: Path) -> GainTable:

@@ -24,7 +24,6 @@ from retuner.drivers.recorded.recording import RecordingError
 from retuner.errors import UserError, user_input
 from retuner.files import write_whole
 from retuner.schedule.gains import Form, PidGains, from_form, in_form
-from retuner.schedule.late_dataclass import dataclass
 from retuner.templates import profiles, starter
 
 OVEN, NATIVE = "oven", "retuner"
@@ -68,21 +67,6 @@ def init(options: InitOptions) -> int:
     return 0
 
 
-@dataclass(frozen=True, slots=True)
-class StarterAnswers:
-    """A loop in a few words: name, unit and range of pv, sampling interval in seconds, active gains, bus and node."""
-
-    name: str
-    unit: str
-    pv_min: float
-    pv_max: float
-    sample_time_s: float
-    gains: PidGains
-    interface: str = "virtual"
-    channel: str = "retuner"
-    node: int = 1
-
-
 def asked(file: Path) -> str:
     """A configuration by questions, each with a default that Enter takes."""
     known = (OVEN, NATIVE, *profiles())
@@ -109,9 +93,7 @@ def asked(file: Path) -> str:
     kc = _ask(f"Gain Kc now, % of output per {unit} (negative: direct acting)", 1.0, _gain)
     tau_i = _ask("Integral time tau_I now, s (0: none)", 100.0, _number(0.0))
     gains = from_form(Form.SERIES, kc, tau_i or None, _ask("Derivative time tau_D now, s", 0.0, _number(0.0)))
-    return _composed(
-        StarterAnswers(name, unit, low, high, sample_s, gains, interface, channel, node), "by your answers"
-    )
+    return _composed("by your answers", name, unit, (low, high), sample_s, gains, interface, channel, node)
 
 
 Answer = TypeVar("Answer")
@@ -191,9 +173,9 @@ def of_record(record: Path, file: Path, given: PidGains | None) -> dict[Path, st
         math.floor((low - RANGE_MARGIN * size) / unit) * unit,
         math.ceil((high + RANGE_MARGIN * size) / unit) * unit,
     )
-    pv_min, pv_max = float(f"{ends[0]:.9g}"), float(f"{ends[1]:.9g}")
-    answers = StarterAnswers(read.tag or record.stem, "units", pv_min, pv_max, window.sample_time_s, gains)
-    text = _composed(answers, f"of {record.name}: range of pv with room, interval and gains as the record shows them")
+    pv_range = float(f"{ends[0]:.9g}"), float(f"{ends[1]:.9g}")
+    source = f"of {record.name}: range of pv with room, interval and gains as the record shows them"
+    text = _composed(source, read.tag or record.stem, "units", pv_range, window.sample_time_s, gains)
     with user_input(str(record)):
         found = identify_record(window, gains=gains)
     if found.model is None:
@@ -226,18 +208,28 @@ steps = [
     }
 
 
-def _composed(answers: StarterAnswers, source: str) -> str:
-    kc, tau_i, tau_d = (in_form(answers.gains, Form.SERIES)[key] for key in ("kc", "tau_i", "tau_d"))
+def _composed(
+    source: str,
+    name: str,
+    unit: str,
+    pv_range: tuple[float, float],
+    sample_time_s: float,
+    gains: PidGains,
+    interface: str = "virtual",
+    channel: str = "retuner",
+    node: int = 1,
+) -> str:
+    kc, tau_i, tau_d = (in_form(gains, Form.SERIES)[key] for key in ("kc", "tau_i", "tau_d"))
     return f"""# retuner configuration {source}.
 # `retuner check FILE` says what is wrong with it; docs/configuration.md has every key with its default.
 schema = 1
 
 [loop]
-name = {json.dumps(answers.name)}
-pv_unit = {json.dumps(answers.unit)}
-pv_min = {answers.pv_min!r}
-pv_max = {answers.pv_max!r}
-sample_time_s = {answers.sample_time_s:.9g}
+name = {json.dumps(name)}
+pv_unit = {json.dumps(unit)}
+pv_min = {pv_range[0]!r}
+pv_max = {pv_range[1]!r}
+sample_time_s = {sample_time_s:.9g}
 
 [schedule]   # one region; a run proposes boundaries where the process changes
 
@@ -251,7 +243,7 @@ tau_d_s = {tau_d or 0.0:.6g}
 mode = "advise"   # off: only watch; advise: propose; trial: write one change, keep it when approved; auto: write
 
 [bus]
-interface = {json.dumps(answers.interface)}
-channel = {json.dumps(answers.channel)}
-node = {answers.node}
+interface = {json.dumps(interface)}
+channel = {json.dumps(channel)}
+node = {node}
 """

@@ -9,7 +9,6 @@ import json
 import math
 import re
 import sys
-from collections.abc import Iterator
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -36,15 +35,9 @@ COLUMNS = {
     "row": "row",
     "time [s]": "when_s",
     "what": "kind",
-    "who": "who",
-    "loop": "loop",
-    "region": "region",
-    "why": "why",
-    "old": "old",
-    "new": "new",
-    "evidence": "evidence",
-    "verdict": "verdict",
+    **{name: name for name in ("who", "loop", "region", "why", "old", "new", "evidence", "verdict")},
 }
+"""Heads of the table, and the field of a line below each."""
 
 
 def verify(options: VerifyOptions) -> int:
@@ -89,31 +82,24 @@ def _selected(rows: list[Row], options: ShowOptions) -> list[Row]:
         if math.isnan(options.since):
             raise UserError("--since nan: give seconds of the run")
         rows = [row for row in rows if row.clock_s >= options.since]
-    return rows if options.decision is None else list(_about(rows, options.decision))
-
-
-def _about(rows: list[Row], number: int) -> Iterator[Row]:
-    """A decision with the rows of its write: from it to the next decision, where they tell of its region; and what
-    came of its trial.
-    """
-    inside, on_trial, region = False, False, None
+    if options.decision is None:
+        return rows
+    # a decision with the rows of its write, from it to the next one, where they tell of its region; and what came of
+    # its trial
+    inside, on_trial, region, about = False, False, None, list[Row]()
     for row in rows:
         if row.kind == "decision":
-            inside = row.body.get("number") == number
+            inside = row.body.get("number") == options.decision
             region = row.body.get("region") if inside else region
         if row.body.get("region", region) != region and not (inside and row.kind == "decision"):
             continue
         on_trial = inside if row.kind == "trial" else on_trial
-        if inside or (on_trial and _of_the_trial(row)):
-            yield row
+        ends_trial = str(row.body.get("code", "")).startswith(ABOUT_A_TRIAL)
+        came_of_it = row.kind in {"judged", "restore", "restored"} or (row.kind == "decision" and ends_trial)
+        about += [row] if inside or (on_trial and came_of_it) else []
     if region is None:
-        raise UserError(f"--decision {number}: the ledger has no such decision")
-
-
-def _of_the_trial(row: Row) -> bool:
-    """Whether a row says what came of a change that is on trial."""
-    about = str(row.body.get("code", "")).startswith(ABOUT_A_TRIAL)
-    return row.kind in {"judged", "restore", "restored"} or (row.kind == "decision" and about)
+        raise UserError(f"--decision {options.decision}: the ledger has no such decision")
+    return about
 
 
 def believed(path: Path) -> tuple[list[Row], str]:
@@ -211,7 +197,6 @@ def _is_step(row: Row) -> bool:
 
 
 def _list(lines: list[LedgerLine]) -> str:
-    """The rows for a narrow terminal: a head line a row, and an indented line for each answer."""
     out, several = [], _several(lines)
     for line in lines:
         where = f"{line.loop} {line.region}" if several else line.region
@@ -237,22 +222,19 @@ def export(options: ExportOptions) -> int:
     if not target.parent.is_dir():
         raise UserError(f"{target}: the folder {target.parent} does not exist; make it first")
     rows, broken = believed(path)
-    write_whole(target, _csv(rows) if as_csv else "".join(_json_line(row) for row in rows))
+    if as_csv:
+        stream = io.StringIO()
+        writer = csv.writer(stream, lineterminator="\n")
+        names = [field.name for field in fields(LedgerLine)]
+        writer.writerow([*names, "body", "hash"])
+        for row, one in zip(rows, told(rows), strict=True):
+            line = one.to_dict()
+            writer.writerow([*(no_formula(line[name]) for name in names), row.text, row.hash])
+        text = stream.getvalue()
+    else:
+        documents = (plain_values(row, "seq clock_s kind body previous hash") for row in rows)
+        text = "".join(json.dumps(one, allow_nan=False) + "\n" for one in documents)
+    write_whole(target, text)
     ending = f"; broken: {broken}" if broken else ""
     sys.stdout.write(f"{target}: {len(rows)} rows of {path}{ending}\n")
     return 1 if broken else 0
-
-
-def _csv(rows: list[Row]) -> str:
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    names = [field.name for field in fields(LedgerLine)]
-    writer.writerow([*names, "body", "hash"])
-    for row, one in zip(rows, told(rows), strict=True):
-        line = one.to_dict()
-        writer.writerow([*(no_formula(line[name]) for name in names), row.text, row.hash])
-    return stream.getvalue()
-
-
-def _json_line(row: Row) -> str:
-    return json.dumps(plain_values(row, "seq clock_s kind body previous hash"), allow_nan=False) + "\n"

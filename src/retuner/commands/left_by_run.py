@@ -28,21 +28,8 @@ from retuner.report.report import ReportData, render
 from retuner.report.scores import RegionScore
 from retuner.schedule.config_section import schedule_section
 from retuner.schedule.document import to_toml
+from retuner.session import outputs
 from retuner.session.loop_session import LoopSession
-from retuner.session.outputs import (
-    BUS_LOG,
-    CONFIG,
-    GAINS,
-    LEDGER,
-    LOOPS,
-    REFINED,
-    REFINED_SCHEDULE,
-    REPORT,
-    SUMMARY,
-    TREND,
-    loop_folder,
-    rows_by_loop,
-)
 from retuner.session.session import Session
 
 
@@ -65,14 +52,25 @@ def leave(
     if not left:
         raise UserError("nothing to report: no sample told its region, as the scheduling variable was never known")
     if job.config.several:
-        job.unwritten.write(job.folder / REPORT, render_index(_index_lines(session, left), _facts(job, ledger, LOOPS)))
+        known = {one.loop.name: one for one in left}
+        lines = [
+            LoopLine(
+                name=loop.name,
+                report=str(known[loop.name].report) if loop.name in known else None,
+                decisions=[decision.to_dict() for decision in loop.decisions],
+                scores=known[loop.name].scores if loop.name in known else [],
+                trouble=session.absent.get(loop.name, loop.left_open),
+            )
+            for loop in session.loops
+        ]
+        job.unwritten.write(job.folder / outputs.REPORT, render_index(lines, _facts(job, ledger, outputs.LOOPS)))
     # the result as a file, and for whoever asked for it
     folder, several = job.folder, job.config.several
     results = [result(one, ledger, folder / one.report.parent) for one in left]
     whole = {"folder": str(folder), "loops": results, "absent": session.absent, "ledger_head": ledger.head()}
     document = {**(whole if several else results[0]), "interrupted": interrupted}
     with job.unwritten.trying():
-        write_json(folder / SUMMARY, document)
+        write_json(folder / outputs.SUMMARY, document)
     if job.options.as_json:
         sys.stdout.write(json.dumps(document, indent=2, allow_nan=False) + "\n")
         return
@@ -86,16 +84,16 @@ def leave(
     decisions = sum(len(loop.decisions) for loop in session.loops)
     changes = sum(len(loop.changes) for loop in session.loops)
     done = f"{counted(decisions, 'decision')}, {counted(changes, 'change')} of gains"
-    made = not any(line.startswith(str(folder / REPORT)) for line in job.unwritten.lines)
-    screen.say(f"{done}; report: {folder / REPORT}" if made else done)
+    made = not any(line.startswith(str(folder / outputs.REPORT)) for line in job.unwritten.lines)
+    screen.say(f"{done}; report: {folder / outputs.REPORT}" if made else done)
     screen.say(f"ledger head {ledger.head()}")
     several = job.config.several
-    about = rows_by_loop(ledger.rows(), job.config.names)
+    about = outputs.rows_by_loop(ledger.rows(), job.config.names)
     for one in left:
         loop, name = one.loop, one.loop.name
         names = loop.table.regions.names
         locked = [region for i, region in enumerate(names) if loop.retuner.trials.phase(i) is TrialPhase.LOCKED]
-        table = job.folder / one.report.parent / GAINS
+        table = job.folder / one.report.parent / outputs.GAINS
         changed = Changed(table, job.options.config) if loop.changes else None
         config = job.config.loops[job.config.names.index(name)]
         by_hand = product("foreign device").advice_only(config) if config.foreign_device else ""
@@ -129,22 +127,22 @@ def _leave_loop(
     takes a line on what stays open.
     """
     config, loop = job.config.loops[i], session.loops[i]
-    folder = loop_folder(job.folder, loop.name if job.config.several else "")
+    folder = outputs.loop_folder(job.folder, loop.name if job.config.several else "")
     columns = loop.trend.columns()
     fixed_columns = fixed.trend.columns() if fixed is not None and fixed.trend.rows else None
     scores = scores_of(config, loop.table, loop.changes, columns, fixed_columns, job.config.loops, say)
-    job.unwritten.write(folder / GAINS, to_toml(loop.table))
+    job.unwritten.write(folder / outputs.GAINS, to_toml(loop.table))
     retuner = loop.retuner
     regions, models, dt_s = retuner.table.regions, retuner.region_models, retuner.settings.sample_time_s
     advice = (*region_advice(regions, models, dt_s, AdviceSettings()), *([other] if other is not None else ()))
     kind = config.output.trend
     with job.unwritten.trying():
-        write_trend(folder / TREND, loop.trend, kind)
+        write_trend(folder / outputs.TREND, loop.trend, kind)
     # the proposed schedule as files that a person may take up. loop : its name where it is one of several
     if other is not None:
-        job.unwritten.write(folder / REFINED, to_toml(other.table))
+        job.unwritten.write(folder / outputs.REFINED, to_toml(other.table))
         job.unwritten.write(
-            folder / REFINED_SCHEDULE, schedule_section(other.table, loop.name if job.config.several else "")
+            folder / outputs.REFINED_SCHEDULE, schedule_section(other.table, loop.name if job.config.several else "")
         )
     data = ReportData(
         loop=config.loop.name,
@@ -157,28 +155,14 @@ def _leave_loop(
         fixed=fixed_columns,
         changes=[t for t, _ in loop.changes],
         events=loop.scenario.played,
-        facts=_facts(job, ledger, f"{TREND}.{kind}", i) | ({"not restored": loop.left_open} if loop.left_open else {}),
+        facts=_facts(job, ledger, f"{outputs.TREND}.{kind}", i)
+        | ({"not restored": loop.left_open} if loop.left_open else {}),
         stopped=config.scenario is not None and not loop.scenario.finished,
         advice=[one.sentence for one in advice],
         ms_limit=config.adaptation.ms_marked,
     )
-    job.unwritten.write(folder / REPORT, render(data))
-    return _Left(loop, config.loop.pv_unit, scores, (folder / REPORT).relative_to(job.folder), advice)
-
-
-def _index_lines(session: Session, left: Sequence[_Left]) -> list[LoopLine]:
-    reports = {one.loop.name: str(one.report) for one in left}
-    scores = {one.loop.name: one.scores for one in left}
-    return [
-        LoopLine(
-            loop.name,
-            reports.get(loop.name),
-            [decision.to_dict() for decision in loop.decisions],
-            scores.get(loop.name, []),
-            session.absent.get(loop.name, loop.left_open),
-        )
-        for loop in session.loops
-    ]
+    job.unwritten.write(folder / outputs.REPORT, render(data))
+    return _Left(loop, config.loop.pv_unit, scores, (folder / outputs.REPORT).relative_to(job.folder), advice)
 
 
 def _facts(job: RunJob, ledger: Ledger, trend: str, i: int | None = None) -> dict[str, str]:
@@ -191,11 +175,11 @@ def _facts(job: RunJob, ledger: Ledger, trend: str, i: int | None = None) -> dic
         "Python": platform.python_version(),
         "bus": "; ".join(buses),
         "seed": ", ".join(dict.fromkeys(seeds)),
-        "ledger": f"{LEDGER}, {ledger.verify().rows} rows, head {ledger.head()}",
+        "ledger": f"{outputs.LEDGER}, {ledger.verify().rows} rows, head {ledger.head()}",
         "trend": trend,
-        "bus log": BUS_LOG,
-        "gains": GAINS,
-        "configuration": CONFIG,
+        "bus log": outputs.BUS_LOG,
+        "gains": outputs.GAINS,
+        "configuration": outputs.CONFIG,
     }
 
 

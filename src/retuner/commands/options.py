@@ -2,7 +2,7 @@
 
 import json
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from functools import partial, wraps
 from importlib import import_module
 from inspect import signature
@@ -107,37 +107,23 @@ class RecordOptions(FormOptions):
     as_json: Json = False
 
 
-Options = TypeVar("Options")
-
-
-def signed_by(options: type[Options]) -> Callable[[Callable[[Options], int]], Callable[..., int]]:
-    """Make a function of a dataclass a command with an option for each field; its help is the class's docstring."""
-
-    def signed(work: Callable[[Options], int]) -> Callable[..., int]:
-        @wraps(options, updated=())
-        def called(**given: Any) -> int:
-            return work(options(**given))
-
-        plain = signature(options, eval_str=True)
-        shown = {one.name: one.metadata.get("shown") for one in fields(options)}  # type: ignore[arg-type]
-        told = [
-            one if (how := shown[name]) is None else one.replace(annotation=Annotated[one.annotation, how()])
-            for name, one in plain.parameters.items()
-        ]
-        called.__signature__ = plain.replace(parameters=told)  # type: ignore[attr-defined]
-        return called
-
-    return signed
-
-
 def command(app: typer.Typer, options: type[Any], work: str, epilog: str) -> None:
-    """Give an app a command whose work is loaded when it is called. work : module in commands/, and its function."""
+    """Give an app a command with an option for each field of a dataclass, whose docstring is its help; its work is
+    loaded when it is called. work : module in commands/, and its function, of the options.
+    """
     module, _, name = work.rpartition(".")
 
-    @signed_by(options)
-    def called(given: object) -> int:
-        return int(getattr(import_module(f"retuner.commands.{module}"), name)(given))
+    @wraps(options, updated=())
+    def called(**given: Any) -> int:
+        return int(getattr(import_module(f"retuner.commands.{module}"), name)(options(**given)))
 
+    plain = signature(options, eval_str=True)
+    shown = {one.name: one.metadata.get("shown") for one in fields(options)}
+    told = [
+        one if (how := shown[key]) is None else one.replace(annotation=Annotated[one.annotation, how()])
+        for key, one in plain.parameters.items()
+    ]
+    called.__signature__ = plain.replace(parameters=told)  # type: ignore[attr-defined]
     app.command(name, short_help=" ".join(str(options.__doc__).partition("\n\n")[0].split()), epilog=epilog)(called)
 
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from retuner.adaptive.guard.step_size import SAME_GAINS, change_factor
 from retuner.adaptive.supervision.decision import Decision, Mode, gains_dict
 from retuner.adaptive.supervision.retuner import Retuner
-from retuner.commands.options import FormOptions
-from retuner.commands.recorded.record_options import read_record, renamed, tell_assumed
+from retuner.commands.options import FormOptions, tell
+from retuner.commands.recorded.recorded_loop import read_record, renamed, tell_assumed
 from retuner.commands.signatures import ReplayOptions
 from retuner.config import Config, load_config
 from retuner.decision_page.decision_words import one_line
@@ -26,7 +26,7 @@ from retuner.drivers.recorded.recorded_samples import (
 from retuner.errors import UserError
 from retuner.replay.replaying import Replay, ReplayedSession
 from retuner.schedule.gains import PidGains
-from retuner.schedule.late_dataclass import dataclass, field, fields
+from retuner.schedule.late_dataclass import fields
 from retuner.schedule.plain_values import plain_values
 from retuner.session.assembly import make_retuner, schedule_inputs
 from retuner.session.outputs import RecordedSession, differences, read_loops
@@ -114,15 +114,6 @@ IN_FORCE_SAMPLES = 10
 samples after the boundary was crossed."""
 
 
-@dataclass(slots=True)
-class ReplayedLog:
-    """What would have been done. changes : times at which the record's own gains changed, s."""
-
-    samples: int = 0
-    decisions: list[Decision] = field(default_factory=list)
-    changes: list[float] = field(default_factory=list)
-
-
 class InForce:
     """Follows the gains that a record says were in force, so that decisions are about the loop as it was."""
 
@@ -147,22 +138,6 @@ class InForce:
         return True
 
 
-def answer(retuner: Retuner, recorded: Iterator[Recorded]) -> ReplayedLog:
-    """Run a retuner over a record."""
-    found, in_force = ReplayedLog(), InForce(retuner)
-    for sample, gains in recorded:
-        found.samples += 1
-        try:
-            decision = retuner.observe(sample)
-        except ValueError as error:
-            raise UserError(f"sample {found.samples} of the log: {error}") from None
-        if decision is not None:
-            found.decisions.append(decision)
-        if in_force.adopt(gains):
-            found.changes.append(sample.t_s)
-    return found
-
-
 def what_if(log: Path, config_file: Path, options: ReplayOptions) -> int:
     """Say what would have been done on a log; the exit status, 0.
 
@@ -172,17 +147,31 @@ def what_if(log: Path, config_file: Path, options: ReplayOptions) -> int:
         raise UserError(f"{log}: is a folder; a session is replayed without --config, a log is a file")
     config = load_config(config_file, options.loop)
     retuner = make_retuner(config, Mode.ADVISE)
+    in_force, samples, decisions, changed_s = InForce(retuner), 0, list[Decision](), list[float]()
     with busy(f"deciding on {log}"):
-        found = answer(retuner, recorded_loop(log, options, config))
-    if options.as_json:
-        sys.stdout.write(json.dumps(_answered(log, config_file, retuner, found), indent=2, allow_nan=False) + "\n")
-        return 0
-    for decision in found.decisions:
-        sys.stdout.write(f"{decision.t_s:10,.0f} s  {decision.region}: {one_line(decision)}\n")
-    times = "once" if len(found.changes) == 1 else f"{len(found.changes)} times"
-    changed = f", the record's gains changed {times}" if found.changes else ""
-    counted = f"{len(found.decisions)} decision{'s' * (len(found.decisions) != 1)}"
-    sys.stdout.write(f"{log}: {counted} on {found.samples:,} samples{changed}; nothing was written\n")
+        for samples, (sample, gains) in enumerate(recorded_loop(log, options, config), start=1):
+            try:
+                decision = retuner.observe(sample)
+            except ValueError as error:
+                raise UserError(f"sample {samples} of the log: {error}") from None
+            decisions += [decision] if decision is not None else []
+            changed_s += [sample.t_s] if in_force.adopt(gains) else []
+    table, counted = retuner.table, f"{len(decisions)} decision{'s' * (len(decisions) != 1)}"
+    lines = [f"{one.t_s:10,.0f} s  {one.region}: {one_line(one)}" for one in decisions]
+    times = "once" if len(changed_s) == 1 else f"{len(changed_s)} times"
+    changed = f", the record's gains changed {times}" if changed_s else ""
+    whole = {
+        "log": str(log),
+        "config": str(config_file),
+        "samples": samples,
+        "decisions": [decision.to_dict() for decision in decisions],
+        "gains_changed_s": changed_s,
+        "gains": [
+            {"region": name, **gains_dict(gains)} for name, gains in zip(table.regions.names, table.gains, strict=True)
+        ],
+    }
+    last = f"{log}: {counted} on {samples:,} samples{changed}; nothing was written"
+    tell(whole, [*lines, last], as_json=options.as_json)
     return 0
 
 
@@ -198,17 +187,3 @@ def recorded_loop(log: Path, options: FormOptions, config: Config) -> Iterator[R
     read = read_record([log], options, in_automatic=True)
     tell_assumed(read.assumed, options)
     return recording_samples(read.recording, facts)
-
-
-def _answered(log: Path, config_file: Path, retuner: Retuner, found: ReplayedLog) -> dict[str, object]:
-    table = retuner.table
-    return {
-        "log": str(log),
-        "config": str(config_file),
-        "samples": found.samples,
-        "decisions": [decision.to_dict() for decision in found.decisions],
-        "gains_changed_s": found.changes,
-        "gains": [
-            {"region": name, **gains_dict(gains)} for name, gains in zip(table.regions.names, table.gains, strict=True)
-        ],
-    }

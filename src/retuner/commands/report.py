@@ -5,7 +5,6 @@ import math
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from retuner.commands.signatures import ReportOptions
@@ -43,28 +42,29 @@ def report(options: ReportOptions) -> int:
     show_units_of(config)
     every = config.several and loop is None and decision is None and out is None
     with busy("drawing the report"):
-        told = _all_loops(recorded) if every else _one_loop(recorded[config.place(loop)], decision, out)
+        if every:
+            told = _all_loops(recorded)
+        else:
+            one = recorded[config.place(loop)]
+            columns, rows = recorded_columns(one), _decided(one)
+            if decision is None:
+                path, text = out or one.folder / REPORT, render(_data(one, rows, columns))
+            else:
+                path = out or one.folder / f"decision-{decision}.html"
+                row = next((row for row in rows if row.body.get("number") == decision), None)
+                if row is None:
+                    there = f"it has {rows[0].body['number']} to {rows[-1].body['number']}" if rows else "it has none"
+                    raise UserError(f"{one.folder}: has no decision {decision}; {there}")
+                document = without_place(row.body)
+                later = what_came_of(document, [without_place(each.body) for each in rows])
+                text = page(view_of(document, columns, one.config.loop.pv_unit, (row.seq, row.hash), later))
+            write_whole(path, text)
+            told = {"session": str(one.folder), "file": str(path), "decisions": len(rows), "decision": decision}
     sys.stdout.write((json.dumps(told, indent=2) if options.as_json else str(told["file"])) + "\n")
     return 0
 
 
-def _one_loop(recorded: RecordedSession, decision: int | None, out: Path | None) -> dict[str, object]:
-    columns, rows = recorded_columns(recorded), _decided(recorded)
-    if decision is None:
-        path = out or recorded.folder / REPORT
-        text = render(_data(recorded, rows, columns))
-    else:
-        path = out or recorded.folder / f"decision-{decision}.html"
-        row = _named(recorded, rows, decision)
-        document = without_place(row.body)
-        later = what_came_of(document, [without_place(one.body) for one in rows])
-        text = page(view_of(document, columns, recorded.config.loop.pv_unit, (row.seq, row.hash), later))
-    write_whole(path, text)
-    return {"session": str(recorded.folder), "file": str(path), "decisions": len(rows), "decision": decision}
-
-
 def _all_loops(recorded: Sequence[RecordedSession]) -> dict[str, object]:
-    """Write the report of every loop that has samples, and the page that leads to them; what was written."""
     session, lines, files = recorded[0].bus_log.parent, [], []
     for one in recorded:
         absent = next((str(row.body["reason"]) for row in one.rows if row.kind == "absent"), "")
@@ -84,14 +84,6 @@ def _all_loops(recorded: Sequence[RecordedSession]) -> dict[str, object]:
 
 def _decided(recorded: RecordedSession) -> list[Row]:
     return [row for row in recorded.rows if row.kind == "decision"]
-
-
-def _named(recorded: RecordedSession, rows: list[Row], decision: int) -> Row:
-    for row in rows:
-        if row.body.get("number") == decision:
-            return row
-    there = f"it has {rows[0].body['number']} to {rows[-1].body['number']}" if rows else "it has none"
-    raise UserError(f"{recorded.folder}: has no decision {decision}; {there}")
 
 
 def _data(recorded: RecordedSession, rows: list[Row], columns: Columns) -> ReportData:

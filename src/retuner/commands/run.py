@@ -4,6 +4,7 @@ import importlib.util
 import math
 import sys
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from importlib.metadata import version
 from itertools import pairwise
 from pathlib import Path
@@ -24,21 +25,9 @@ from retuner.ledger import Ledger
 from retuner.ledger.trend import NO_PYARROW
 from retuner.products import product
 from retuner.schedule.controller_units import Acting
-from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, field, replace
+from retuner.session import outputs
 from retuner.session.assembly import guard_settings
-from retuner.session.outputs import (
-    BUS_LOG,
-    CONFIG,
-    LEDGER,
-    REPORT,
-    FreshFolder,
-    file_sha256,
-    fresh_folder,
-    give_back,
-    log_of_bus,
-    session_identity,
-)
 from retuner.session.running import Run, nothing, real_time_speed
 from retuner.session.session import Session
 from retuner.stopping import stoppable, unstoppable
@@ -61,7 +50,7 @@ class RunJob:
     text: str
     mode: Mode | None
     speed: float
-    fresh: FreshFolder
+    fresh: outputs.FreshFolder
     options: "RunOptions"
     unwritten: Unwritten = field(default_factory=Unwritten)
 
@@ -69,13 +58,6 @@ class RunJob:
     def folder(self) -> Path:
         """Where the run leaves everything."""
         return self.fresh.path
-
-    @property
-    def title(self) -> str:
-        """What is run, in a few words."""
-        first = self.config.loops[0]
-        mode = self.mode or first.adaptation.mode
-        return f"{len(self.config.loops)} loops" if self.config.several else f"{first.loop.name}: {mode}"
 
 
 # ---- What can be foreseen of a configuration that is well formed: gains of the wrong sign, limits that stand in
@@ -92,36 +74,28 @@ class Warned(NamedTuple):
     wrong: bool = False
 
 
-def foreseen(config: Config) -> list[Warned]:
+def foreseen(config: Config) -> Iterator[Warned]:
     """Everything that can be foreseen, the worst first."""
-    return [*_wrong_signs(config), *_limits_passed(config), *_first_step(config)]
-
-
-def _wrong_signs(config: Config) -> Iterator[Warned]:
-    if config.device is None or config.device.plant is None:
-        return
-    plant, regions = product("plants").known_plant(config), config.regions()
-    if plant is None:
-        return
-    for i, gains in enumerate(config.gains()):
-        first = regions.axes[0]
-        at = regions.centre(i) if first.variable in {"sp", "pv"} else (config.loop.pv_min + config.loop.pv_max) / 2
-        k = plant.linearise(at).k
-        if math.copysign(1, k) == gains.direction:
-            continue
-        falls = "falls" if k < 0 else "rises"
-        needed = Acting.DIRECT if k < 0 else Acting.REVERSE
-        yield Warned(
-            f"region {regions.names[i]}: the plant's pv {falls} when the output rises, which needs a {needed}-acting "
-            f"controller; these gains are {Acting.of(gains)} acting: change their sign, or [loop] action",
-            wrong=True,
-        )
-
-
-def _limits_passed(config: Config) -> Iterator[Warned]:
-    """Gains in the file that stand beyond the limits of changes already."""
+    regions = config.regions()
+    axis = regions.axes[0]
+    by_pv = axis.variable in {"sp", "pv"}
+    # Gains of the wrong sign for a plant that is known
+    plant = product("plants").known_plant(config) if config.device and config.device.plant else None
+    if plant is not None:
+        for i, gains in enumerate(config.gains()):
+            k = plant.linearise(regions.centre(i) if by_pv else (config.loop.pv_min + config.loop.pv_max) / 2).k
+            if math.copysign(1, k) == gains.direction:
+                continue
+            falls, needed = ("falls", Acting.DIRECT) if k < 0 else ("rises", Acting.REVERSE)
+            yield Warned(
+                f"region {regions.names[i]}: the plant's pv {falls} when the output rises, which needs a "
+                f"{needed}-acting controller; these gains are {Acting.of(gains)} acting: change their sign, or "
+                "[loop] action",
+                wrong=True,
+            )
+    # Gains in the file that stand beyond the limits of changes already
     limits = guard_settings(config)
-    for name, gains in zip(config.regions().names, config.gains(), strict=True):
+    for name, gains in zip(regions.names, config.gains(), strict=True):
         tau_i_s = gains.kp / gains.ki if gains.ki else None
         for what, value, least, most in (
             ("kc", abs(gains.kp), limits.kc_min, limits.kc_max),
@@ -135,29 +109,19 @@ def _limits_passed(config: Config) -> Iterator[Warned]:
                 f"region {name}: {what} = {value:g} (parallel form) is {side} the limit of [adaptation], {limit:g}: "
                 "changes may only lead towards it"
             )
-
-
-def _first_step(config: Config) -> Iterator[Warned]:
-    if config.scenario is None:
-        return
+    # The first step of the setpoint that moves co further than it can
     room = config.loop.co_max_pct - config.loop.co_min_pct
-    wanted = [(step.at_s, step.sp) for step in config.scenario.steps if step.sp is not None]
-    for (_, before), (at_s, after) in pairwise(wanted):
-        kick = abs(config.loop.b * _gains_at(config, after).kp * (after - before))
+    steps = config.scenario.steps if config.scenario is not None else []
+    for (_, before), (at_s, after) in pairwise((one.at_s, one.sp) for one in steps if one.sp is not None):
+        alone = by_pv and len(regions.axes) == 1
+        gains = config.gains()[sum(bound <= after for bound in axis.bounds) if alone else 0]
+        kick = abs(config.loop.b * gains.kp * (after - before))
         if kick > room:
             yield Warned(
                 f"scenario: the step of sp from {before:g} to {after:g} at {at_s:g} s moves the output by {kick:.0f} % "
                 f"at once; its range is {room:g} %, so it will hit its limit, which hides the response"
             )
             return
-
-
-def _gains_at(config: Config, sp: float) -> PidGains:
-    """The gains at a setpoint, or of the first region where the gains follow something else."""
-    axis, gains = config.regions().axes[0], config.gains()
-    if len(config.regions().axes) > 1 or axis.variable not in {"sp", "pv"}:
-        return gains[0]
-    return gains[sum(bound <= sp for bound in axis.bounds)]
 
 
 # ---- retuner run
@@ -197,19 +161,19 @@ def run(options: "RunOptions") -> int:
         raise UserError(NO_PYARROW)
     if options.serve:
         product("page").require_page()
-    fresh = fresh_folder(folder)
+    fresh = outputs.fresh_folder(folder)
     try:
-        with stoppable(), Ledger(folder / LEDGER) as ledger, screen:
+        with stoppable(), Ledger(folder / outputs.LEDGER) as ledger, screen:
             if fresh.moved:
                 screen.say(f"the earlier run in {folder} was moved to {fresh.moved}")
             for warned in (one for loop in config.loops for one in foreseen(loop) if one.wrong):
                 screen.say(f"warning: {warned.text}")
             return _run(RunJob(config, text, mode, speed, fresh, options), ledger, screen)
     except NothingHappenedError as nothing_happened:
-        give_back(fresh)
+        outputs.give_back(fresh)
         raise nothing_happened.cause from None
     except LedgerError:  # it could not be opened
-        give_back(fresh)
+        outputs.give_back(fresh)
         raise
 
 
@@ -222,7 +186,6 @@ class NothingHappenedError(Exception):
 
 
 def _run(job: RunJob, ledger: Ledger, screen: "LiveScreen") -> int:
-    """The run itself, the comparison run and what is left behind, also after Ctrl-C."""
     # Put the configuration as run into the folder, and what the run is made with into the ledger's first row
     options = job.options
     named = {
@@ -232,38 +195,40 @@ def _run(job: RunJob, ledger: Ledger, screen: "LiveScreen") -> int:
         ("adaptation", "pretune"): options.pretune or None,
     }
     changes = {place: value for place, value in named.items() if value is not None}
-    text, identity = session_identity(job.config, job.text, changes)
+    text, identity = outputs.session_identity(job.config, job.text, changes)
     schedules = taken_up(job.config.loops)
     body = {"config": job.config.summary(), "retuner": version("retuner"), **identity, "samples": 0}
     body |= {"schedules": schedules} if schedules else {}
     try:
-        write_whole(job.folder / CONFIG, text)
+        write_whole(job.folder / outputs.CONFIG, text)
         ledger.append("session", body, 0.0)
     except (LedgerError, OSError) as error:
         raise NothingHappenedError(error) from error
     watching: Watching = product("live view").Watching(screen, job.config, job.folder)
-    # what keeps a run's rows. most_mb : size of the ledger past which that is told
-    size = LedgerSize(ledger, job.config.output.ledger_mb_warn, screen.say)
+    look = size_watch(ledger, job.config.output.ledger_mb_warn, screen.say)
 
     def keep(kind: str, t_s: float, body: Mapping[str, object]) -> None:
         ledger.append(kind, body, t_s)
-        size.look()
+        look()
 
     job_run = Run(
         job.config,
         keep,
         mode=job.mode,
-        log=job.folder / BUS_LOG,
+        log=job.folder / outputs.BUS_LOG,
         observer=watching,
         folder=job.folder,
         before=job.fresh.moved,
     )
-    screen.begin(job.title)
+    first = job.config.loops[0]
+    alone = f"{first.loop.name}: {job.mode or first.adaptation.mode}"
+    screen.begin(f"{len(job.config.loops)} loops" if job.config.several else alone)
     if not job.options.serve:
         return _carried_out(job, job_run, ledger, watching, screen)
-    with product("page").served_beside(job.folder, screen.say) as page:
+    with product("page").served_beside(job.folder, screen.say) as stay:
         status = _carried_out(job, job_run, ledger, watching, screen)
-        page.stay(watched=status == 0 and sys.stdout.isatty())
+        if status == 0 and sys.stdout.isatty():  # a person sits there to end it
+            stay()
     return status
 
 
@@ -277,8 +242,12 @@ def _carried_out(job: RunJob, job_run: Run, ledger: Ledger, watching: "Watching"
     finally:
         watching.close()
     compare = job.config.simulated and job.options.compare and not interrupted
-    again = Run(job.config, nothing, mode=Mode.OFF, observer=product("live view").OnScreen(screen, job.config))
-    fixed = _unless_stopped(again, screen) if compare else None
+    fixed: Session | None = None
+    if compare:
+        screen.begin("the same run with fixed gains")
+        again = Run(job.config, nothing, mode=Mode.OFF, observer=product("live view").OnScreen(screen, job.config))
+        with suppress(KeyboardInterrupt):  # the run that counts is over then, and is kept
+            fixed = again.simulated()
     with unstoppable():
         proposed = [refined(loop.retuner) if loop.trend.rows else None for loop in session.loops]
         # the rows that end the session; before them another schedule for each loop whose records ask for one, and
@@ -291,53 +260,47 @@ def _carried_out(job: RunJob, job_run: Run, ledger: Ledger, watching: "Watching"
             if several:
                 for loop in session.loops:
                     loop.tell_over()
-            logs = [log_of_bus(job.folder / BUS_LOG, number) for number in range(len(job.config.buses))]
-            hashes = {log.name: file_sha256(*log_parts(log).paths) for log in logs}
-            first: dict[str, object] = {"bus_log": BUS_LOG, "bus_log_sha256": hashes[BUS_LOG]}
+            logs = [outputs.log_of_bus(job.folder / outputs.BUS_LOG, number) for number in range(len(job.config.buses))]
+            hashes = {log.name: outputs.file_sha256(*log_parts(log).paths) for log in logs}
+            first: dict[str, object] = {"bus_log": outputs.BUS_LOG, "bus_log_sha256": hashes[outputs.BUS_LOG]}
             traffic = first if len(logs) == 1 else {**first, "bus_logs": hashes}
             ledger.append("end", {"interrupted": interrupted, **traffic, "samples": samples}, session.t_s)
         except LedgerError as error:
             session.freeze(str(error))
         interrupted |= compare and fixed is None
         product("what a run leaves").leave(job, ledger, session, fixed, proposed, screen, interrupted=interrupted)
-    if wrong := [*_wrong(job, session), *job_run.stopped_plants, *filter(None, [job_run.ended_by])]:
+    # what a person must see to, in a line each
+    wrong = [loop.wrong_way for loop in session.loops if loop.wrong_way]
+    if told := session.frozen or session.left_open:
+        wrong.insert(0, f"{told}; the run was ended, and {job.folder / outputs.REPORT} says what the controller runs")
+    if job.unwritten.lines:
+        room = f"make room; the ledger has every decision: retuner report {job.folder} makes the report"
+        wrong += [*job.unwritten.lines, room]
+    wrong += [*job_run.stopped_plants, *filter(None, [job_run.ended_by])]
+    if wrong:
         raise UserError(*wrong)
     return 130 if interrupted else 0
 
 
-def _wrong(job: RunJob, session: Session) -> Iterator[str]:
-    """What a person must see to after the run, in a line each."""
-    if told := session.frozen or session.left_open:
-        yield f"{told}; the run was ended, and {job.folder / REPORT} says what the controller runs"
-    yield from [*filter(None, (loop.wrong_way for loop in session.loops)), *job.unwritten.lines]
-    if job.unwritten.lines:
-        yield f"make room; the ledger has every decision: retuner report {job.folder} makes the report"
-
-
-class LedgerSize:
-    """Says once that a ledger has grown past its size; it is never cut, because it is the record of what was decided.
-
-    most_mb : the size in MB. say : is told the one line.
+def size_watch(ledger: Ledger, most_mb: float, say: Callable[[str], None]) -> Callable[[], None]:
+    """A look at a ledger's size, for after each row: that it has grown past most_mb is said once. It is never cut,
+    because it is the record of what was decided.
     """
+    told = False
 
-    def __init__(self, ledger: Ledger, most_mb: float, say: Callable[[str], None]) -> None:
-        self._ledger = ledger
-        self._most_mb = most_mb
-        self._say = say
-        self._told = False
-
-    def look(self) -> None:
-        """Look at the file; called after each row."""
-        if not self._told and self._ledger.size_bytes() > self._most_mb * 1e6:
-            self._told = True
-            self._say(
-                f"{self._ledger.path}: has grown past {self._most_mb:g} MB ([output] ledger_mb_warn) and is never cut; "
+    def look() -> None:
+        nonlocal told
+        if not told and ledger.size_bytes() > most_mb * 1e6:
+            told = True
+            say(
+                f"{ledger.path}: has grown past {most_mb:g} MB ([output] ledger_mb_warn) and is never cut; "
                 "when the disk is short, end this run and begin another, which starts a new ledger"
             )
 
+    return look
+
 
 def _play(job: RunJob, job_run: Run) -> tuple[Session, bool]:
-    """The run to its end, or until it was stopped: what there is, and whether it was stopped."""
     try:
         return (job_run.simulated() if job.config.simulated else job_run.live(job.speed)), False
     except (KeyboardInterrupt, DeviceError) as stop:
@@ -346,12 +309,3 @@ def _play(job: RunJob, job_run: Run) -> tuple[Session, bool]:
         if isinstance(stop, DeviceError):
             job_run.ended_by = str(stop)
         return job_run.session, True
-
-
-def _unless_stopped(comparison: Run, screen: "LiveScreen") -> Session | None:
-    """The comparison run, or None when the user stops it: the run that counts is over then, and is kept."""
-    screen.begin("the same run with fixed gains")
-    try:
-        return comparison.simulated()
-    except KeyboardInterrupt:
-        return None

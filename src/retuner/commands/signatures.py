@@ -5,7 +5,7 @@ when it is called, so that `--help` does not wait for that.
 from collections import defaultdict
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, NamedTuple, TypeVar
+from typing import Annotated, NamedTuple, TypeVar, dataclass_transform
 
 import typer
 
@@ -53,12 +53,16 @@ class Typed(NamedTuple):
 TYPED: dict[str, list[Typed]] = defaultdict(list)
 
 
-def typed(name: str, work: str, example: str) -> Callable[[type[Options]], type[Options]]:
-    """Make a dataclass what can be typed of a command, or of a command of that group."""
+@dataclass_transform(kw_only_default=True, frozen_default=True)
+def typed(work: str, example: str, group: str = "") -> Callable[[type[Options]], type[Options]]:
+    """Make a class the options that can be typed of a command, or of a command of that group; its help is the class's
+    docstring. work : module in commands/, and its function, which has the command's name.
+    """
 
     def noted(options: type[Options]) -> type[Options]:
-        TYPED[name].append(Typed(options, work, example))
-        return options
+        made = dataclass(frozen=True, slots=True, kw_only=True)(options)
+        TYPED[group or work.rpartition(".")[2]].append(Typed(made, work, example))
+        return made
 
     return noted
 
@@ -76,8 +80,7 @@ def app_of(name: str, within: str = "") -> typer.Typer:
     return app
 
 
-@typed("init", "init.init", "Example: retuner init oven.toml; or retuner init loop.toml --from trend.csv")
-@dataclass(frozen=True, slots=True, kw_only=True)
+@typed("init.init", "Example: retuner init oven.toml; or retuner init loop.toml --from trend.csv")
 class InitOptions:
     """Write a configuration: a commented starter, or by a few questions, or of a record's loop."""
 
@@ -91,8 +94,7 @@ class InitOptions:
     ask: bool | None = option(None, "Questions about the loop; asked on a terminal.", "--ask/--no-ask")
 
 
-@typed("run", "run.run", "Example: retuner run examples/oven.toml --out runs/oven")
-@dataclass(frozen=True, slots=True, kw_only=True)
+@typed("run.run", "Example: retuner run examples/oven.toml --out runs/oven")
 class RunOptions:
     """Watch a loop, retune it over CAN, and leave a report."""
 
@@ -110,11 +112,8 @@ class RunOptions:
 
 
 @typed(
-    "replay",
-    "replay.replay",
-    "Example: retuner replay runs/demo; retuner replay loop.csv --config loop.toml --columns pv=temp",
+    "replay.replay", "Example: retuner replay runs/demo; retuner replay loop.csv --config loop.toml --columns pv=temp"
 )
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ReplayOptions(FormOptions):
     """Repeat the decisions of a session byte for byte, or apply retuner to a recorded log."""
 
@@ -126,12 +125,7 @@ class ReplayOptions(FormOptions):
     as_json: Json = False
 
 
-@typed(
-    "report",
-    "report.report",
-    "Example: retuner report runs/demo; retuner report runs/demo --decision 7 --out page.html",
-)
-@dataclass(frozen=True, slots=True, kw_only=True)
+@typed("report.report", "Example: retuner report runs/demo; retuner report runs/demo --decision 7 --out page.html")
 class ReportOptions:
     """Make the report of a recorded session again, or the page of one decision with its full reasoning."""
 
@@ -143,11 +137,8 @@ class ReportOptions:
 
 
 @typed(
-    "approve",
-    "approve.approve",
-    "Example: retuner approve runs/demo; retuner approve runs/demo 4bebeed6 --note 'as discussed'",
+    "approve.approve", "Example: retuner approve runs/demo; retuner approve runs/demo 4bebeed6 --note 'as discussed'"
 )
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ApproveOptions:
     """Approve a proposal, named by its hash, or list the open ones, the newest of each region.
 
@@ -167,8 +158,7 @@ class ApproveOptions:
     as_json: Json = False
 
 
-@typed("tune", "recorded.tune.tune", "Example: retuner tune --type fopdt --k 0.361 --tau1 138 --theta 14.2 --rule simc")
-@dataclass(frozen=True, slots=True, kw_only=True)
+@typed("recorded.tune.tune", "Example: retuner tune --type fopdt --k 0.361 --tau1 138 --theta 14.2 --rule simc")
 class TuneOptions:
     """Compute settings for a known process by a tuning rule, with margins."""
 
@@ -205,12 +195,7 @@ class TuneOptions:
     as_json: Json = False
 
 
-@typed(
-    "identify",
-    "recorded.identify.identify",
-    "Example: retuner identify heater.csv --open-loop --columns pv=temperature,co=pwm",
-)
-@dataclass(frozen=True, slots=True, kw_only=True)
+@typed("recorded.identify.identify", "Example: retuner identify heater.csv --open-loop --columns pv=temperature,co=pwm")
 class IdentifyOptions(RecordOptions):
     """Identify the process from a record: model, standard deviations and settings."""
 
@@ -220,11 +205,9 @@ class IdentifyOptions(RecordOptions):
 
 
 @typed(
-    "diagnose",
     "recorded.diagnose.diagnose",
     "Example: retuner diagnose loop.csv --kc 0.8 --tau-i 40 --co-min 0 --co-max 100 --plot loop.png",
 )
-@dataclass(frozen=True, slots=True, kw_only=True)
 class DiagnoseOptions(RecordOptions):
     """Find the cause of a loop's behaviour, with evidence and recommended settings."""
 
@@ -240,11 +223,8 @@ class DiagnoseOptions(RecordOptions):
 
 
 @typed(
-    "schedule",
-    "recorded.schedule.schedule",
-    "Example: retuner schedule examples/records/day.csv --by pv --out runs/oven-schedule",
+    "recorded.schedule.schedule", "Example: retuner schedule examples/records/day.csv --by pv --out runs/oven-schedule"
 )
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ScheduleOptions(FormOptions):
     """Find what changes along a variable, and the fewest sets of gains that serve it everywhere."""
 
@@ -275,8 +255,7 @@ class ScheduleOptions(FormOptions):
     as_json: Json = False
 
 
-@typed("audit", "recorded.audit.audit", "Example: retuner audit trends/ --out audit/ --stretches 6")
-@dataclass(frozen=True, slots=True, kw_only=True)
+@typed("recorded.audit.audit", "Example: retuner audit trends/ --out audit/ --stretches 6")
 class AuditOptions(FormOptions):
     """Rank the loops of a plant by what a visit would bring; nothing is written to any controller."""
 
@@ -294,8 +273,7 @@ class AuditOptions(FormOptions):
     as_json: Json = False
 
 
-@typed("reduce", "recorded.reduce.reduce", "Example: retuner reduce --num-t 15 --den-t 20,1,0.1,0.1 --k 2 --order 2")
-@dataclass(frozen=True, slots=True, kw_only=True)
+@typed("recorded.reduce.reduce", "Example: retuner reduce --num-t 15 --den-t 20,1,0.1,0.1 --k 2 --order 2")
 class ReduceOptions:
     """Reduce a process model to first or second order by the half rule."""
 
@@ -309,8 +287,7 @@ class ReduceOptions:
     as_json: Json = False
 
 
-@typed("ledger", "ledger.verify", "Example: retuner ledger verify runs/demo/ledger.sqlite --head 61f2ae1c0d3b")
-@dataclass(frozen=True, slots=True, kw_only=True)
+@typed("ledger.verify", "Example: retuner ledger verify runs/demo/ledger.sqlite --head 61f2ae1c0d3b", group="ledger")
 class VerifyOptions:
     """Recompute the hash chain: status 0 when it holds, 1 when it is broken, and where."""
 
@@ -319,8 +296,7 @@ class VerifyOptions:
     as_json: Json = False
 
 
-@typed("ledger", "ledger.show", "Example: retuner ledger show runs/demo --decision 3")
-@dataclass(frozen=True, slots=True, kw_only=True)
+@typed("ledger.show", "Example: retuner ledger show runs/demo --decision 3", group="ledger")
 class ShowOptions:
     """Who, when, why, from what to what, on what evidence, with what verdict: row by row."""
 
@@ -332,8 +308,7 @@ class ShowOptions:
     as_json: Json = False
 
 
-@typed("ledger", "ledger.export", "Example: retuner ledger export runs/demo --csv demo.csv")
-@dataclass(frozen=True, slots=True, kw_only=True)
+@typed("ledger.export", "Example: retuner ledger export runs/demo --csv demo.csv", group="ledger")
 class ExportOptions:
     """Write the rows into a file for other programs."""
 
@@ -342,8 +317,7 @@ class ExportOptions:
     as_jsonl: Path | None = option(None, "One JSON document a line, whole.", "--jsonl", metavar="FILE")
 
 
-@typed("ledger", "approve.revert", "Example: retuner ledger revert runs/demo --decision 3 --note 'pump changed'")
-@dataclass(frozen=True, slots=True, kw_only=True)
+@typed("approve.revert", "Example: retuner ledger revert runs/demo --decision 3 --note 'pump changed'", group="ledger")
 class RevertOptions:
     """Request a rollback to the gains before a decision, in its region, by the running or the next session."""
 
@@ -399,12 +373,11 @@ class OnDemandOptions(RecordedOptions, ControllerOptions):
 
 
 @typed(
-    "experiment",
     "experiment.step",
     "Examples: retuner experiment step examples/oven.toml --amplitude 5; "
     "retuner experiment step --from heater.csv --columns pv=temperature",
+    group="experiment",
 )
-@dataclass(frozen=True, slots=True, kw_only=True)
 class StepOptions(OnDemandOptions):
     """Open-loop step of the output. Methods: fit, two-point, tangent, reaction-curve, 63-percent, slope."""
 
@@ -412,12 +385,11 @@ class StepOptions(OnDemandOptions):
 
 
 @typed(
-    "experiment",
     "experiment.setpoint",
     "Examples: retuner experiment setpoint examples/oven.toml --amplitude 5 --kc0 1.5; "
     "retuner experiment setpoint --from loop.csv --kc0 1.5 --rule setpoint-overshoot",
+    group="experiment",
 )
-@dataclass(frozen=True, slots=True, kw_only=True)
 class SetpointOptions(OnDemandOptions):
     """Setpoint step under proportional control, or with --hold out and back under the active gains, for `diagnose`.
 
@@ -431,12 +403,11 @@ class SetpointOptions(OnDemandOptions):
 
 
 @typed(
-    "experiment",
     "experiment.relay",
     "Examples: retuner experiment relay examples/oven.toml --amplitude 10 --bias 0.3; "
     "retuner experiment relay --from relay.csv --rule zn-ultimate --kind pid",
+    group="experiment",
 )
-@dataclass(frozen=True, slots=True, kw_only=True)
 class RelayOptions(OnDemandOptions):
     """Relay feedback: Ku and Pu, and a model. Methods: fit, asymmetric; rules zn-ultimate ... take Ku and Pu."""
 
@@ -446,8 +417,7 @@ class RelayOptions(OnDemandOptions):
     cycles: int = option(4, "Full waves that count, 2 to 50.")
 
 
-@typed("experiment", "experiment.ultimate", "Example: retuner experiment ultimate --from swing.csv --kc 3.2")
-@dataclass(frozen=True, slots=True, kw_only=True)
+@typed("experiment.ultimate", "Example: retuner experiment ultimate --from swing.csv --kc 3.2", group="experiment")
 class UltimateOptions(RecordedOptions):
     """A swing under proportional control: its period, and whether the gain was the ultimate one."""
 
@@ -457,12 +427,11 @@ class UltimateOptions(RecordedOptions):
 
 
 @typed(
-    "experiment",
     "experiment.valve",
     "Examples: retuner experiment valve examples/oven.toml --step 0.5 --hold 120; "
     "retuner experiment valve --from valve.csv",
+    group="experiment",
 )
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ValveOptions(FormOptions, ControllerOptions):
     """Small steps of co up and down in manual: resolution, dead band and stroke of the valve, with their odds."""
 

@@ -6,6 +6,7 @@ without them nothing can be said of the tuning.
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,8 +23,14 @@ from retuner.adaptive.rules.visual import oscillation_by_eye, sampling_by_eye
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import Window
 from retuner.commands.options import RecordOptions, tell
-from retuner.commands.recorded.record_options import days_told, tell_assumed
-from retuner.commands.recorded.recorded_loop import controller, read_records_of_loop, require_fitting, require_length
+from retuner.commands.recorded.recorded_loop import (
+    controller,
+    days_told,
+    read_records_of_loop,
+    require_fitting,
+    require_length,
+    tell_assumed,
+)
 from retuner.commands.signatures import DiagnoseOptions
 from retuner.decision_page.decision_words import settings_text
 from retuner.decision_page.evidence_words import REGULAR, evidence_lines
@@ -37,6 +44,9 @@ from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass
 from retuner.tuning import tune, tuning_lines
 from retuner.verbosity import busy
+
+if TYPE_CHECKING:  # slow to load, for pictures only
+    from retuner.report.record_plots import ExplainedCurve
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,16 +147,20 @@ USUAL = (5.0, 95.0)  # percentiles of co between which it moves because of loads
 
 def document(found: DiagnosedRecord) -> dict[str, object]:
     """Keys cause, confidence, retune, evidence, gains, form, margins, aim, rival, reason, gains_in_force, model, ..."""
-    result = found.result
+    result, gains = found.result, found.gains
     estimate = result.estimate.to_dict() if result.estimate is not None else {}
     told = result.to_dict()
-    # The evidence of a diagnosis as plain JSON values
     value = told["evidence"]
     assert isinstance(value, dict)
+    in_force: dict[str, object] | None = None
+    if found.read_off is not None:
+        in_force = {"source": "record", **found.read_off.to_dict()}
+    elif gains is not None:
+        in_force = {"source": "given", "parallel": {"kp": gains.kp, "ki": gains.ki, "kd": gains.kd}}
     return {
         **told,
         "evidence": {**found.seen.evidence, **value},
-        "gains_in_force": _in_force(found),
+        "gains_in_force": in_force,
         "before": list(found.before),
         "identifiable": estimate.get("identifiable", False),
         "model": estimate.get("model"),
@@ -156,14 +170,6 @@ def document(found: DiagnosedRecord) -> dict[str, object]:
         "notes": list(found.notes),
         "by_eye": _by_eye(found),
     }
-
-
-def _in_force(found: DiagnosedRecord) -> dict[str, object] | None:
-    if found.read_off is not None:
-        return {"source": "record", **found.read_off.to_dict()}
-    if found.gains is None:
-        return None
-    return {"source": "given", "parallel": {"kp": found.gains.kp, "ki": found.gains.ki, "kd": found.gains.kd}}
 
 
 def described(found: DiagnosedRecord) -> list[str]:
@@ -331,14 +337,21 @@ WINNER = {Cause.STICTION: "stuck", Cause.EXTERNAL: "external"}
 """The explanation that is believed, besides the loop by itself."""
 
 
+def explained_curves(window: Window, result: RecordDiagnosis) -> "list[ExplainedCurve]":
+    """pv of a record as the loop alone explains it, and as the explanation does that is believed."""
+    from retuner.report.record_plots import ExplainedCurve
+
+    names = [name for name in ("linear", WINNER.get(result.diagnosis.cause, "")) if name in result.fits]
+    return [ExplainedCurve.of(SHOWN[name], window, result.fits[name]) for name in names]
+
+
 def _picture(found: DiagnosedRecord, options: RecordOptions) -> bytes:
     from retuner.decision_page.svg import drawn
-    from retuner.report.record_plots import ExplainedCurve, RecordPicture, record_figure
+    from retuner.report.record_plots import RecordPicture, record_figure
 
     told, estimate = found.result.diagnosis, found.result.estimate
     lines = [*_controller_lines(found), *_process_lines(found), *evidence_lines(found.evidence, readings=False)]
-    names = [name for name in ("linear", WINNER.get(told.cause, "")) if name in found.result.fits]
-    curves = [ExplainedCurve.of(SHOWN[name], found.window, found.result.fits[name]) for name in names]
+    curves = explained_curves(found.window, found.result)
     title = f"{Path(found.source).name}: {str(told.cause).replace('_', ' ')} ({told.confidence:.0%})"
     picture = RecordPicture(
         found.window,

@@ -3,11 +3,17 @@
 from pathlib import Path
 
 from retuner.adaptive.indexes.days import days_of
-from retuner.api import NO_STRETCH, Identification, RegionIdentification, identify_by_region, identify_record
+from retuner.api import NO_STRETCH, Identification, identify_by_region, identify_record
 from retuner.commands.options import RecordOptions, tell
 from retuner.commands.recorded.other_cause import contradiction, diagnosed, other_cause, weighed
-from retuner.commands.recorded.record_options import days_told, tell_assumed
-from retuner.commands.recorded.recorded_loop import controller, read_loop, require_fitting, require_length
+from retuner.commands.recorded.recorded_loop import (
+    controller,
+    days_told,
+    read_loop,
+    require_fitting,
+    require_length,
+    tell_assumed,
+)
 from retuner.commands.signatures import IdentifyOptions
 from retuner.decision_page.row_values import in_full
 from retuner.decision_page.shown_units import chosen_units
@@ -51,7 +57,12 @@ def identify(options: IdentifyOptions) -> int:
             regions = identify_by_region(window, by, bounds, open_loop=options.open_loop, gains=gains, **limits)
         tell_assumed(read.assumed, options)
         document = {"regions": [region.to_dict() for region in regions], "assumed": [a.what for a in read.assumed]}
-        tell(document, [line for region in regions for line in _region_lines(region, options)], as_json=options.as_json)
+        lines = list[str]()
+        for region in regions:
+            title = f"{options.region_by} {region.low:g} to {region.high:g}, {region.samples} samples: "
+            first, *rest = [f"NOT identifiable: {NO_STRETCH}"] if region.found is None else described(region.found)
+            lines += [title + first, *rest]
+        tell(document, lines, as_json=options.as_json)
         return 0 if all(region.found is not None and region.found.estimate.identifiable for region in regions) else 1
     with user_input(recording.source), busy(f"identifying {recording.source}"):
         found = identify_record(
@@ -73,14 +84,6 @@ def identify(options: IdentifyOptions) -> int:
     more = {"diagnosis": said, "assumed": [a.what for a in assumed]}
     tell(found.to_dict() | more, [*described(found), *told], as_json=options.as_json)
     return 0 if found.estimate.identifiable else 1
-
-
-def _region_lines(region: RegionIdentification, options: IdentifyOptions) -> list[str]:
-    title = f"{options.region_by} {region.low:g} to {region.high:g}, {region.samples} samples: "
-    if region.found is None:
-        return [f"{title}NOT identifiable: {NO_STRETCH}"]
-    first, *lines = described(region.found)
-    return [title + first, *lines]
 
 
 def described(found: Identification) -> list[str]:

@@ -6,12 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
+from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.signals.sample import Window
 from retuner.commands.options import controller_units, tell
 from retuner.commands.recorded.other_cause import contradiction, diagnosed, other_cause
-from retuner.commands.recorded.record_options import read_record, tell_assumed
-from retuner.commands.recorded.recorded_loop import require_length
+from retuner.commands.recorded.recorded_loop import read_record, require_length, tell_assumed
 from retuner.commands.signatures import ScheduleOptions
 from retuner.decision_page.shown_units import chosen_units, show_units
 from retuner.drivers.historian.loop_record import LoopRecord
@@ -56,6 +55,12 @@ def schedule(options: ScheduleOptions) -> int:
         require_setpoint(one.recording)
         require_excitation(one.recording)
         require_length(one.recording)
+    active: GainTable | RecordedGains | None = None
+    if gain_columns:
+        columns = [np.concatenate([one.others[name] for one in records]) for name in gain_columns]
+        active = RecordedGains(columns[0], columns[1], columns[2] if len(columns) > 2 else np.zeros(len(columns[0])))
+    elif options.gains is not None:
+        active = _in_force(options.gains)
     with user_input("retuner schedule"):
         # progress on the error stream, a line every PATIENCE_S at the most and none before that
         told = [time.monotonic()]
@@ -80,27 +85,20 @@ def schedule(options: ScheduleOptions) -> int:
             lookup=options.lookup,
             name=options.name or records[0].tag or options.files[0].stem,
             unit=options.unit,
-            gains=_active(options, records, gain_columns),
+            gains=active,
             progress=say,
         )
     assumed = tuple(dict.fromkeys(a for one in records for a in one.assumed))
     windows = [one.recording.window() for one in records]
     written = _written(found, windows, options)
     tell_assumed(assumed, options)
-    other = _other(windows, options)
+    # what diagnose says of the records, where no gains cure it: a gain along pv is what a schedule is for
+    other = other_cause(diagnosed(windows, None, (options.co_min, options.co_max), cause_only=True).diagnosis)
+    other = None if other is None or other.cause in {Cause.NONLINEAR, Cause.UNKNOWN} else other
     said = {"diagnosis": None if other is None else other.to_dict(), "assumed": [a.what for a in assumed]}
     lines = [*described(found), *contradiction(other), *(f"{path} written" for path in written)]
     tell(found.to_dict() | said | {"files": [str(p) for p in written]}, lines, as_json=options.as_json)
     return 0 if found.table is not None else 1
-
-
-def _active(
-    options: ScheduleOptions, records: list[LoopRecord], gain_columns: list[str]
-) -> GainTable | RecordedGains | None:
-    if gain_columns:
-        columns = [np.concatenate([one.others[name] for one in records]) for name in gain_columns]
-        return RecordedGains(columns[0], columns[1], columns[2] if len(columns) > 2 else np.zeros(len(columns[0])))
-    return None if options.gains is None else _in_force(options.gains)
 
 
 def _read(options: ScheduleOptions, others: list[str]) -> list[LoopRecord]:
@@ -154,12 +152,6 @@ def _written(found: ScheduleDesign, windows: list[Window], options: ScheduleOpti
     except OSError as error:
         raise UserError(f"--out {folder}: cannot be written: {error.strerror}") from None
     return list(files)
-
-
-def _other(windows: list[Window], options: ScheduleOptions) -> Diagnosis | None:
-    """What diagnose says of the records, where no gains cure it: a gain along pv is what a schedule is for."""
-    told = other_cause(diagnosed(windows, None, (options.co_min, options.co_max), cause_only=True).diagnosis)
-    return None if told is None or told.cause in {Cause.NONLINEAR, Cause.UNKNOWN} else told
 
 
 def described(found: ScheduleDesign) -> list[str]:

@@ -10,10 +10,9 @@ from retuner.commands.options import check_plot, controller_units, tell
 from retuner.commands.signatures import TuneOptions
 from retuner.errors import UserError, user_input
 from retuner.report.rule_comparison import Comparison, RuleRow, compare_rules
-from retuner.schedule.controller_units import ControllerUnits
 from retuner.schedule.gains import proportional_band_pct, repeats_per_min
-from retuner.tuning import TuneResult, tuning_lines
 from retuner.tuning import tune as tune_model
+from retuner.tuning import tuning_lines
 from retuner.verbosity import busy
 
 HEADINGS = ("rule", "kind", "form", "Kc", "tau_I", "tau_D", "tau_c", "Ms", "GM", "PM", "J", "IAE sp", "IAE load")
@@ -73,13 +72,26 @@ def _by_one_rule(model: ProcessModel | None, options: TuneOptions) -> int:
                 picture = drawn(pareto_figure(model), "J over Ms", options.plot.suffix)
             options.plot.write_bytes(picture)
     units = controller_units(options.controller, options.pv_span, options.action)
-    dial = dialled(result, options.pv_span) if options.pv_span is not None and units is None else {}
-    dial |= dialled_in(result, units) if units is not None else {}
     why = result.explanation if options.explain else None
     shown = {"model": model.to_dict() if model else None, **result.to_dict()}
-    shown |= ({"dialled": dial} if dial else {}) | ({"explanation": why.to_dict()} if why else {})
-    lines = [*tuning_lines(result, units), *_dial_lines(dial), *(explained(why) if why else [])]
-    tell(shown, lines, as_json=options.as_json)
+    lines = list[str]()
+    if units is not None:
+        # on the dials of a controller, by the keys of the configuration, and the form that they are of
+        with user_input("--controller"):
+            dials = units.numbers(result.gains)
+        numbers = {dial.key: value for dial, value in zip(units.dials, dials[:3], strict=True) if dial.label}
+        shown["dialled"] = {"controller": units.name, "form": str(dials.form), **numbers}
+    elif options.pv_span is not None:
+        gains = result.tuning.to_dict(result.form)["gains"]
+        assert isinstance(gains, dict)
+        with user_input("--pv-span"):
+            band, repeats = proportional_band_pct(gains["kc"], options.pv_span), repeats_per_min(gains["tau_i"])
+        shown["dialled"] = {"band_pct": band, "repeats_per_min": repeats}
+        lines.append(f"  set as    proportional band {band:.4g} %  {repeats:.4g} repeats/min")
+    if why is not None:
+        shown["explanation"] = why.to_dict()
+        lines += explained(why)
+    tell(shown, [*tuning_lines(result, units), *lines], as_json=options.as_json)
     return 0 if result.margins is None or result.margins.stable else 1
 
 
@@ -104,32 +116,6 @@ def _draw(model: ProcessModel, rows: tuple[RuleRow, ...], path: Path) -> None:
     path.write_bytes(picture)
 
 
-def dialled(result: TuneResult, pv_span: float) -> dict[str, object]:
-    """The settings in vendors' units: proportional band in percent of the span of pv, and repeats per minute."""
-    gains = result.tuning.to_dict(result.form)["gains"]
-    assert isinstance(gains, dict)
-    with user_input("--pv-span"):
-        return {
-            "band_pct": proportional_band_pct(gains["kc"], pv_span),
-            "repeats_per_min": repeats_per_min(gains["tau_i"]),
-        }
-
-
-def dialled_in(result: TuneResult, units: ControllerUnits) -> dict[str, object]:
-    """The settings in the units of a controller, by the keys of the configuration, and the form that they are of."""
-    with user_input("--controller"):
-        shown = units.numbers(result.gains)
-    numbers = {dial.key: value for dial, value in zip(units.dials, shown[:3], strict=True) if dial.label}
-    return {"controller": units.name, "form": str(shown.form), **numbers}
-
-
-def _dial_lines(dial: dict[str, object]) -> list[str]:
-    """Proportional band and repeats per minute in a line, where no controller is named."""
-    if "band_pct" not in dial:
-        return []
-    return [f"  set as    proportional band {dial['band_pct']:.4g} %  {dial['repeats_per_min']:.4g} repeats/min"]
-
-
 def explained(why: Explanation) -> list[str]:
     """Formula, numbers put in, source and range in lines."""
     numbers = "  ".join(f"{name} = {value:.6g}" for name, value in why.numbers.items())
@@ -141,7 +127,18 @@ def explained(why: Explanation) -> list[str]:
 
 def table(found: Comparison) -> list[str]:
     """The comparison in lines."""
-    rows = [HEADINGS, *(_cells(row) for row in found.rows)]
+    rows: list[tuple[str, ...]] = [HEADINGS]
+    for one in found.rows:
+        shown, m, tuning = one.result.to_dict(), one.result.margins, one.result.tuning
+        gains, parallel = shown["gains"], shown["parallel"]
+        kc = _short(gains["kc"]) if gains["kc"] else f"Ki {_short(parallel['ki'])}"
+        times = map(_short, (gains["tau_i"], gains["tau_d"], tuning.tau_c_s))
+        cells = (tuning.rule, str(one.result.kind), one.result.form, kc, *times)
+        if m is None or not m.stable:
+            rows.append((*cells, "UNSTABLE", "-", "-", "-", "-", "-"))
+        else:
+            costs = map(_short, (one.j, one.performance.iae_setpoint, one.performance.iae_load))
+            rows.append((*cells, f"{m.ms:.2f}", _short(m.gm), f"{m.pm_deg:.1f}", *costs))
     widths = [max(len(row[i]) for row in rows) for i in range(len(HEADINGS))]
     lines = []
     for row in rows:
@@ -151,27 +148,5 @@ def table(found: Comparison) -> list[str]:
     return [*lines, *(f"not applicable: {rule}: {reason}" for rule, reason in found.left_out)]
 
 
-def _cells(row: RuleRow) -> tuple[str, ...]:
-    shown, m = row.result.to_dict(), row.result.margins
-    gains, parallel = shown["gains"], shown["parallel"]
-    assert isinstance(gains, dict)
-    assert isinstance(parallel, dict)
-    first = (
-        row.result.tuning.rule,
-        str(row.result.kind),
-        row.result.form,
-        _short(gains["kc"]) if gains["kc"] else f"Ki {_short(parallel['ki'])}",
-        *map(_short, (*(gains["tau_i"], gains["tau_d"]), row.result.tuning.tau_c_s)),
-    )
-    if m is None or not m.stable:
-        return (*first, "UNSTABLE", "-", "-", "-", "-", "-")
-    robustness = (f"{m.ms:.2f}", _short(m.gm), f"{m.pm_deg:.1f}")
-    return (*first, *robustness, *map(_short, (row.j, row.performance.iae_setpoint, row.performance.iae_load)))
-
-
-def _short(value: object) -> str:
-    """Four digits; none and infinite have words."""
-    if value is None:
-        return "-"
-    assert isinstance(value, float)
-    return "inf" if value == float("inf") else f"{value:.4g}"
+def _short(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4g}"
