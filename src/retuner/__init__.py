@@ -19,50 +19,31 @@ from retuner.adaptive import display_hook
 from retuner.adaptive.fit import engine
 
 if TYPE_CHECKING:
-    from retuner.adaptive.loop.margins import margins as margins
-    from retuner.adaptive.loop.performance import performance as performance
-    from retuner.adaptive.orders.operator_orders import approve_proposal as approve_proposal
-    from retuner.adaptive.orders.operator_orders import found_running as found_running
-    from retuner.adaptive.process.model import LinearProcess as LinearProcess
-    from retuner.adaptive.process.model import ProcessModel as ProcessModel
-    from retuner.adaptive.process.model import ProcessType as ProcessType
-    from retuner.adaptive.process.reduction import reduce as reduce
-    from retuner.adaptive.signals.sample import LoopMode as LoopMode
-    from retuner.adaptive.signals.sample import LoopSample as LoopSample
-    from retuner.adaptive.supervision.decision import Action as Action
-    from retuner.adaptive.supervision.decision import Decision as Decision
-    from retuner.adaptive.supervision.decision import Mode as Mode
-    from retuner.adaptive.supervision.retuner import Retuner as Retuner
-    from retuner.adaptive.supervision.retuner_settings import RetunerSettings as RetunerSettings
-    from retuner.adaptive.supervision.state_file import remember as remember
-    from retuner.adaptive.supervision.state_file import restore as restore
-    from retuner.adaptive.trial.phase import TrialEvent as TrialEvent
-    from retuner.api import Identification as Identification
-    from retuner.api import identify as identify
-    from retuner.api import read as read
-    from retuner.config import load_config as load_config
-    from retuner.conversions import gains_of as gains_of
-    from retuner.conversions import process_of as process_of
-    from retuner.conversions import to_control as to_control
-    from retuner.conversions import to_scipy as to_scipy
-    from retuner.decisions.background import BackgroundRetuner as BackgroundRetuner
-    from retuner.diagnosing import RecordDiagnosis as RecordDiagnosis
-    from retuner.diagnosing import diagnose as diagnose
-    from retuner.pid_controller import PidController as PidController
-    from retuner.schedule.controller_units import Acting as Acting
-    from retuner.schedule.controller_units import ControllerUnits as ControllerUnits
-    from retuner.schedule.gains import PidGains as PidGains
-    from retuner.schedule.gains import to_ideal as to_ideal
-    from retuner.schedule.gains import to_series as to_series
-    from retuner.schedule.regions import Axis as Axis
-    from retuner.schedule.regions import Regions as Regions
-    from retuner.schedule.table import GainTable as GainTable
-    from retuner.schedule.table import Lookup as Lookup
-    from retuner.scheduling import design_schedule as design_schedule
-    from retuner.simulation.loop_trend import LoopTrend as LoopTrend
-    from retuner.simulation.simulate_loop import simulate as simulate
-    from retuner.tuning import TuneResult as TuneResult
-    from retuner.tuning import tune as tune
+    from retuner.adaptive.loop.margins import margins
+    from retuner.adaptive.loop.performance import performance
+    from retuner.adaptive.orders.operator_orders import approve_proposal, found_running
+    from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
+    from retuner.adaptive.process.reduction import reduce
+    from retuner.adaptive.signals.sample import LoopMode, LoopSample
+    from retuner.adaptive.supervision.decision import Action, Decision, Mode
+    from retuner.adaptive.supervision.retuner import Retuner
+    from retuner.adaptive.supervision.retuner_settings import RetunerSettings
+    from retuner.adaptive.supervision.state_file import remember, restore
+    from retuner.adaptive.trial.phase import TrialEvent
+    from retuner.api import Identification, identify, read
+    from retuner.config import load_config
+    from retuner.conversions import gains_of, process_of, to_control, to_scipy
+    from retuner.decisions.background import BackgroundRetuner
+    from retuner.diagnosing import RecordDiagnosis, diagnose
+    from retuner.pid_controller import PidController
+    from retuner.schedule.controller_units import Acting, ControllerUnits
+    from retuner.schedule.gains import PidGains, to_ideal, to_series
+    from retuner.schedule.regions import Axis, Regions
+    from retuner.schedule.table import GainTable, Lookup
+    from retuner.scheduling import design_schedule
+    from retuner.simulation.loop_trend import LoopTrend
+    from retuner.simulation.simulate_loop import simulate
+    from retuner.tuning import TuneResult, tune
 
     __version__: str
 

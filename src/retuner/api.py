@@ -332,7 +332,14 @@ def _followed(
             return Identification(replace(estimate, identifiable=False, reason=doubt), None, None)
     told = Identification(estimate, settings, None)
     if gains is not None:
-        told = _no_farther(replace(told, margins_in_force=margins(estimate.log.model().linear(), gains)), window, gains)
+        # no more gain at once than the record's events carry
+        model, dt = estimate.log.model(), window.sample_time_s
+        told = replace(told, margins_in_force=margins(model.linear(), gains))
+        events = len(setpoint_changes(window)) + len(estimate.load_times_s)
+        step = first_step(robust_simc(estimate, dt, RobustSettings(), gains), gains, events, model, dt)
+        if step is not None:
+            now = followed_settings(estimate, step.now)
+            told = replace(told, settings=now, aim=told.settings, step_reason=step.sentence)
     if open_loop:
         return told
     return replace(told, foreseen=foreseen([window], weighed_models(estimate)[:FEW], told.recommended, gains))
@@ -351,16 +358,6 @@ def _unless_pv_stands(window: Window, gains: PidGains | None, estimate: ModelEst
     if found.lead_of(estimate.residual_std**2, len(estimate.load_times_s)) > settings.likelier:
         return estimate
     return replace(estimate, identifiable=False, reason=pv_stands_verdict(found, {}).reason)
-
-
-def _no_farther(found: Identification, window: Window, gains: PidGains) -> Identification:
-    """What was identified, with no more gain at once than the record's events carry."""
-    estimate, dt = found.estimate, window.sample_time_s
-    events = len(setpoint_changes(window)) + len(estimate.load_times_s)
-    step = first_step(robust_simc(estimate, dt, RobustSettings(), gains), gains, events, estimate.log.model(), dt)
-    if step is None:
-        return found
-    return replace(found, settings=followed_settings(estimate, step.now), aim=found.settings, step_reason=step.sentence)
 
 
 def within(window: Window, co_min: float | None, co_max: float | None) -> Window:

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from retuner.adaptive import display_hook
-from retuner.adaptive.cause_odds.odds import OddsFound, diagnose_records
+from retuner.adaptive.cause_odds.odds import diagnose_records
 from retuner.adaptive.choice.foreseen import ASKED, Foreseen, foreseen, weighed_models
 from retuner.adaptive.controller_settings.changed_settings import differ, under_one_setting
 from retuner.adaptive.controller_settings.read_off import settings_in_force
@@ -208,7 +208,15 @@ def diagnose_windows(
     if worth is not None:
         now = TuneResult.on(worth.tuning, worth.models[0])
     settings = now.gains if now is not None and found.diagnosis.retune else None
-    saved = None if cause_only else _saved(windows[told.record], told, settings, gains, (co_min, co_max))
+    # what the settings save of the record's error, or the best for each process, over its odds
+    saved: Foreseen | None = None
+    if not cause_only and found.diagnosis.cause in {Cause.OK, *TUNING_CAUSES}:
+        if told.tuning is not None and found.tuning is None:
+            likely = likely_processes(told.tuning, ASKED)
+            processes = list(zip(models(told.tuning, likely), likely.weights.tolist(), strict=True))
+        else:
+            processes = weighed_models(found.estimate)
+        saved = foreseen([windows[told.record]], processes, settings, gains, (co_min, co_max))
     return RecordDiagnosis(
         with_gain(found.diagnosis, saved),
         found.estimate,
@@ -223,25 +231,6 @@ def diagnose_windows(
         foreseen=saved,
         earlier=earlier,
     )
-
-
-def _saved(
-    window: Window,
-    told: OddsFound,
-    settings: PidGains | None,
-    active: PidGains | None,
-    co_limits: tuple[float | None, float | None],
-) -> Foreseen | None:
-    """What the settings save of a record's error, or the best for each process, over its odds."""
-    found = told.found
-    if found.diagnosis.cause not in {Cause.OK, *TUNING_CAUSES}:
-        return None
-    if told.tuning is not None and found.tuning is None:
-        likely = likely_processes(told.tuning, ASKED)
-        processes = list(zip(models(told.tuning, likely), likely.weights.tolist(), strict=True))
-    else:
-        processes = weighed_models(found.estimate)
-    return foreseen([window], processes, settings, active, co_limits)
 
 
 def with_gain(told: Diagnosis, saved: Foreseen | None) -> Diagnosis:

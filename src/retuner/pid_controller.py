@@ -357,7 +357,14 @@ class PidController(display_hook.Drawn, Closes):
             t_s = self._begin_s
             region = enter(self._regions, xs[0], t_s, xs[1])
             now = self._law_at(region, xs)
-            state: StateTuple = _begin(now, sp, pv) if self._held_co is None else start(now, sp, pv, self._held_co)
+            state: StateTuple
+            if self._held_co is not None:
+                state = start(now, sp, pv, self._held_co)
+            else:  # integral at 0, so that the first output is that of the proportional action
+                wish = now.kp * (now.b * sp - pv)
+                if not math.isfinite(wish):
+                    raise ValueError(f"sp = {sp}, pv = {pv}: give finite numbers")
+                state = PidState(0.0, pv, 0.0, min(max(wish, now.co_min), now.co_max), 0)
         else:
             t_s = last.t_s + dt_s
             region = choose(self._regions, last.region, xs[0], t_s, xs[1])
@@ -446,14 +453,3 @@ def _mode(mode: Mode | str) -> Mode:
     if mode not in tuple(Mode):
         raise ValueError(f"mode = {mode!r} is unknown; use {', '.join(Mode)}")
     return Mode(mode)
-
-
-def _begin(law_now: PidLaw, sp: float, pv: float) -> PidState:
-    """The state before the first sample: integral at 0, so that the first output is that of the proportional action.
-
-    Raises ValueError: a number is not finite.
-    """
-    wish = law_now.kp * (law_now.b * sp - pv)
-    if not math.isfinite(wish):
-        raise ValueError(f"sp = {sp}, pv = {pv}: give finite numbers")
-    return PidState(0.0, pv, 0.0, min(max(wish, law_now.co_min), law_now.co_max), 0)

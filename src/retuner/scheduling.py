@@ -169,6 +169,18 @@ class ScheduleDesign(display_hook.Shown):
         """Keys schema, variable, second, reason, candidates, lookup, regions, aim, hysteresis, min_stay_s,
         crossings, at_limits, next_experiment, places.
         """
+        places = list[dict[str, object]]()
+        for place in self.places:
+            told: dict[str, object] = {
+                **plain_values(place, "x" if place.x2 is None else "x x2"),
+                **plain_values(place, "known model"),
+                "ln_std": dict(zip(("slope", "theta", "tau", "tau2"), place.ln_std, strict=False)),
+                **plain_values(place, "own"),
+            }
+            if self.table is not None:
+                gains = self.gains_at(place.x, place.x2)
+                told |= {"gains": plain_value(gains), **plain_values(place.judged(gains), "ms ms_worst j")}
+            places.append(told)
         return {
             "schema": SCHEMA,
             "variable": self.variable,
@@ -185,42 +197,19 @@ class ScheduleDesign(display_hook.Shown):
             "aim": None if self.aim is None else _regions_dict(self.aim),
             **plain_values(self.design, "crossings"),
             **plain_values(self, "at_limits next_experiment"),
-            "places": [self._place_dict(place) for place in self.places],
+            "places": places,
         }
-
-    def _place_dict(self, place: Place) -> dict[str, object]:
-        now = None if self.table is None else place.judged(self.gains_at(place.x, place.x2))
-        told: dict[str, object] = {
-            **plain_values(place, "x" if place.x2 is None else "x x2"),
-            **plain_values(place, "known model"),
-            "ln_std": dict(zip(("slope", "theta", "tau", "tau2"), place.ln_std, strict=False)),
-            **plain_values(place, "own"),
-        }
-        if now is not None:
-            told |= {"gains": plain_value(self.gains_at(place.x, place.x2)), **plain_values(now, "ms ms_worst j")}
-        return told
-
-
-def _second_dict(regions: Regions, i: int) -> dict[str, float]:
-    if regions.second is None:
-        return {}
-    low, high = regions.span(i, 1)
-    return {"low2": low, "high2": high, "centre2": regions.centre(i, 1)}
 
 
 def _regions_dict(table: GainTable) -> list[dict[str, object]]:
-    regions = table.regions
-    return [
-        {
-            "name": name,
-            "low": regions.span(i)[0],
-            "high": regions.span(i)[1],
-            "centre": regions.centre(i),
-            **_second_dict(regions, i),
-            **plain_value(g),
-        }
-        for i, (name, g) in enumerate(zip(regions.names, table.gains, strict=True))
-    ]
+    told, axes = list[dict[str, object]](), len(table.regions.axes)
+    for i, (name, gains) in enumerate(zip(table.regions.names, table.gains, strict=True)):
+        where: dict[str, object] = {}
+        for axis, digit in enumerate(("", "2")[:axes]):
+            low, high = table.regions.span(i, axis)
+            where |= {f"low{digit}": low, f"high{digit}": high, f"centre{digit}": table.regions.centre(i, axis)}
+        told.append({"name": name, **where, **plain_value(gains)})
+    return told
 
 
 def design_schedule(
@@ -271,10 +260,14 @@ def design_schedule(
         raise ValueError(f"low = {low:g} must be below high = {high:g}")
     rows = [at_gaps(window) for window in whole]
     windows = tuple(window.part(part) for window, parts in zip(whole, rows, strict=True) for part in parts)
-    candidates = [_between_gaps(_candidate(one, whole, values), rows) for one in _names(by, values)]
+    names = [*OWN, *values] if by == AUTO else [by] if isinstance(by, str) else list(dict.fromkeys(by))
+    candidates = [_candidate(one, whole, rows, values) for one in names]
     limits = DesignLimits(ms_limit, j_limit)
     found = design(windows, candidates, limits, lookup, (low, high), progress)
-    before = gains if gains is not None else _read_off(windows, co_min, co_max)
+    before = gains
+    if before is None:
+        read_off = (settings_in_force(window, co_min, co_max).gains for window in windows)
+        before = next((one for one in read_off if one is not None and one.ki), None)
     named = {one.name: np.concatenate(one.values) for one in candidates}
     visited = named[found.variable]
     if isinstance(before, RecordedGains) and len(before.kp) != len(visited):
@@ -287,18 +280,6 @@ def design_schedule(
     return replace(made, design=first, table=table_of(first, name, unit), aim=aim)
 
 
-def _read_off(windows: Sequence[Window], co_min: float | None, co_max: float | None) -> PidGains | None:
-    """The gains that made the records, where one of them shows it."""
-    found = (settings_in_force(window, co_min, co_max).gains for window in windows)
-    return next((gains for gains in found if gains is not None and gains.ki), None)
-
-
-def _names(by: str | Sequence[str], values: Mapping[str, object]) -> list[str]:
-    if by == AUTO:
-        return [*OWN, *values]
-    return [by] if isinstance(by, str) else list(dict.fromkeys(by))
-
-
 def windows_of(records: Window | Record | Sequence[Window | Record]) -> tuple[Window, ...]:
     """Records, one or several, as windows. Raises ValueError: there is none, or one lacks a signal."""
     several = list(records) if isinstance(records, list | tuple) else [cast("Window | Record", records)]
@@ -307,7 +288,13 @@ def windows_of(records: Window | Record | Sequence[Window | Record]) -> tuple[Wi
     return tuple(one if isinstance(one, Window) else window_of(one) for one in several)
 
 
-def _candidate(name: str, windows: Sequence[Window], values: Mapping[str, Sequence[Numbers]]) -> SchedulingVariable:
+def _candidate(
+    name: str,
+    windows: Sequence[Window],
+    rows: Sequence[Sequence[slice]],
+    values: Mapping[str, Sequence[Numbers]],
+) -> SchedulingVariable:
+    """A variable at the samples of every part of the records. rows : the parts of each."""
     if name in values:
         arrays = [np.asarray(v, dtype=np.float64) for v in values[name]]
         if len(arrays) != len(windows):
@@ -320,13 +307,9 @@ def _candidate(name: str, windows: Sequence[Window], values: Mapping[str, Sequen
     for array, window in zip(arrays, windows, strict=True):
         if array.shape != window.t_s.shape or not np.all(np.isfinite(array)):
             raise ValueError(f"{name}: give a finite value at each of the record's {len(window.t_s)} samples")
-    return SchedulingVariable(name, tuple(arrays), follows=name not in OWN and follows_loop(windows, arrays))
-
-
-def _between_gaps(one: SchedulingVariable, rows: Sequence[Sequence[slice]]) -> SchedulingVariable:
-    """A variable at the samples of every part of the records."""
-    values = tuple(array[part] for array, parts in zip(one.values, rows, strict=True) for part in parts)
-    return replace(one, values=values)
+    follows = name not in OWN and follows_loop(windows, arrays)
+    parted = tuple(array[part] for array, parts in zip(arrays, rows, strict=True) for part in parts)
+    return SchedulingVariable(name, parted, follows=follows)
 
 
 def table_of(found: Design, name: str, unit: str) -> GainTable | None:

@@ -1,5 +1,7 @@
 """`retuner.tune`: settings for a process by a named rule, with their margins; frozen results that know their JSON."""
 
+from typing import Any
+
 from retuner.adaptive import display_hook
 from retuner.adaptive.loop.margins import Margins, margins
 from retuner.adaptive.process.model import ProcessModel
@@ -48,7 +50,7 @@ class TuneResult(display_hook.Shown):
         """The settings as parallel gains."""
         return self.tuning.gains
 
-    def to_dict(self) -> dict[str, object]:
+    def to_dict(self) -> dict[str, Any]:
         """Keys rule, kind, form, gains {kc, tau_i, tau_d}, parallel {kp, ki, kd}, tau_c, margins {...}, notes."""
         return {
             **self.tuning.to_dict(self.form),
@@ -138,8 +140,6 @@ def tuning_lines(result: TuneResult, units: ControllerUnits | None = None) -> li
     """Settings, margins and notes in lines. units : of the controller, for a line of the numbers that stand on it."""
     shown = result.to_dict()
     gains, parallel, m = shown["gains"], shown["parallel"], result.margins
-    assert isinstance(gains, dict)
-    assert isinstance(parallel, dict)
     times = f"tau_I {_number(gains['tau_i'], ' s')}  tau_D {_number(gains['tau_d'], ' s')}"
     ki, kd = _number(parallel["ki"], "/s"), _number(parallel["kd"], " s")
     tau_c = "" if result.tuning.tau_c_s is None else f", tau_c {_number(result.tuning.tau_c_s, ' s')}"
@@ -160,9 +160,5 @@ def tuning_lines(result: TuneResult, units: ControllerUnits | None = None) -> li
     return [*lines, *(f"  note: {note}" for note in result.tuning.notes)]
 
 
-def _number(value: object, unit: str = "") -> str:
-    """A number as people read it; none and infinite have words."""
-    if value is None:
-        return "none"
-    assert isinstance(value, int | float)
-    return f"{value:.4g}{unit}"
+def _number(value: float | None, unit: str = "") -> str:
+    return "none" if value is None else f"{value:.4g}{unit}"

@@ -10,7 +10,7 @@ import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import IO, Annotated, Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import typer
 from typer.main import get_command
@@ -114,23 +114,22 @@ def busy(what: str) -> Iterator[None]:
         yield
         return
     done = threading.Event()
-    teller = threading.Thread(target=_tell_time, args=(what, stream, done), daemon=True)
+
+    def tell_time() -> None:
+        begun_s, shown, wait_s = time.monotonic(), 0, FIRST_S
+        while not done.wait(wait_s):
+            text = f"{what} ... {time.monotonic() - begun_s:.0f} s"
+            stream.write("\r" + text.ljust(shown))
+            stream.flush()
+            shown, wait_s = len(text), EVERY_S
+        if shown:
+            stream.write("\r" + " " * shown + "\r")
+            stream.flush()
+
+    teller = threading.Thread(target=tell_time, daemon=True)
     teller.start()
     try:
         yield
     finally:
         done.set()
         teller.join()
-
-
-def _tell_time(what: str, stream: IO[str], done: threading.Event) -> None:
-    begun_s, shown = time.monotonic(), 0
-    wait_s = FIRST_S
-    while not done.wait(wait_s):
-        text = f"{what} ... {time.monotonic() - begun_s:.0f} s"
-        stream.write("\r" + text.ljust(shown))
-        stream.flush()
-        shown, wait_s = len(text), EVERY_S
-    if shown:
-        stream.write("\r" + " " * shown + "\r")
-        stream.flush()

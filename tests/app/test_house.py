@@ -36,7 +36,7 @@ ORDER = (
     "errors", "files", "stopping", "streams", "products", "verbosity", "templates", "conversions", "tuning", "api",
     "diagnosing", "scheduling", "config", "ledger", "decisions", "simulation", "pid_controller", "",
     "decision_page", "report", "schedule_report", "experiment", "audit", "session", "one_plant", "live_view", "replay",
-    "serve", "gain_export", "doctor", "commands", "cli", "__main__",
+    "serve", "gain_export", "commands", "cli", "__main__",
 )
 """Every package in the order of the house, lowest first, below `retuner.`; a file on a floor of packages counts as one,
 and "" is what `import retuner` gives. A package imports only from itself and from those before it."""
@@ -48,7 +48,7 @@ CORE = {
     }),
     "commands.run": (46_450, {
         "adaptive.audit", "adaptive.controller_settings", "adaptive.schedule_choice", "api", "audit", "diagnosing",
-        "doctor", "drivers.conformance", "drivers.canopen", "drivers.dbc", "drivers.historian",
+        "drivers.conformance", "drivers.canopen", "drivers.dbc", "drivers.historian",
         "drivers.plants.fmu_model", "experiment",
         "gain_export", "live_view", "report", "schedule_report", "scheduling", "serve", "session.pretuning",
         "tuning",
