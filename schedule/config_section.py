@@ -2,7 +2,7 @@
 
 import json
 
-from retuner.schedule.gains import PidGains, to_ideal
+from retuner.schedule.gains import to_ideal
 from retuner.schedule.regions import CAN, Axis
 from retuner.schedule.table import GainTable, Lookup
 
@@ -21,7 +21,11 @@ def schedule_section(table: GainTable, loop: str = "") -> str:
         lines += _axis_lines(axis, simple=simple)
     for i, (region, gains) in enumerate(zip(table.regions.names, table.gains, strict=True)):
         cell = [] if len(axes) == 1 else [f"cell = [{', '.join(str(place + 1) for place in table.regions.cell(i))}]"]
-        lines += ["", *_region_lines(region, gains), *cell]
+        ideal = to_ideal(gains)
+        told = '"none"' if ideal.tau_i_s is None else repr(_digits(ideal.tau_i_s))
+        lines += ["", "[[schedule.region]]", f'name = "{region}"', f"kc = {_digits(ideal.kc)!r}", f"tau_i_s = {told}"]
+        lines += [f"tau_d_s = {_digits(ideal.tau_d_s)!r}"] if ideal.tau_d_s else []
+        lines += ['form = "ideal"', *cell]
     text = "\n".join(lines) + "\n"
     if not loop:
         return text
@@ -45,13 +49,6 @@ def _axis_lines(axis: Axis, *, simple: bool) -> list[str]:
     return lines
 
 
-def _region_lines(name: str, gains: PidGains) -> list[str]:
-    ideal = to_ideal(gains)
-    kc, tau_i, tau_d = ideal.kc, ideal.tau_i_s, ideal.tau_d_s
-    told = '"none"' if tau_i is None else repr(_digits(tau_i, 8))
-    lines = ["[[schedule.region]]", f'name = "{name}"', f"kc = {_digits(kc, 8)!r}", f"tau_i_s = {told}"]
-    return [*lines, *([f"tau_d_s = {_digits(tau_d, 8)!r}"] if tau_d else []), 'form = "ideal"']
-
-
-def _digits(value: float, digits: int) -> float:
-    return float(f"{value:.{digits}g}")
+def _digits(value: float) -> float:
+    """A number to eight digits."""
+    return float(f"{value:.8g}")

@@ -26,8 +26,8 @@ signals are scaled a gain is told of the spans of pv and output. Time constants 
 
 from typing import NamedTuple
 
-from retuner.schedule.gains import Form
-from retuner.schedule.vendor_units import SECONDS_PER_MINUTE, Quantity
+from retuner.schedule.gains import SECONDS_PER_MINUTE, Form
+from retuner.schedule.vendor_units import Quantity
 
 
 class Dial(NamedTuple):
@@ -82,75 +82,47 @@ class NamedController(NamedTuple):
     form: Form
 
 
-def _dials(
-    gain: Dial, integral: tuple[str, str, float], derivative: tuple[str, str, float], *, apart: bool = False
-) -> tuple[Dial, Dial, Dial]:
-    """A gain with two times, or with two gains of their own (apart), which share what the gain is told of."""
-    (i_word, i_unit, i_scale), (d_word, d_unit, d_scale) = integral, derivative
-    i_is, d_is = (Quantity.KI, Quantity.KD) if apart else (Quantity.TN, Quantity.TV)
-    return (
-        gain,
-        Dial(i_word, i_is, i_word, i_unit, i_scale, of_span=apart and gain.of_span),
-        Dial(d_word, d_is, d_word, d_unit, d_scale, of_span=apart and gain.of_span),
-    )
-
-
 def _gain(word: str, *, of_span: bool = True) -> Dial:
     return Dial(word, Quantity.KP, word, of_span=of_span)
 
 
+def _timed(gain: Dial, integral: str, derivative: str, unit: str = " s", form: Form = Form.IDEAL) -> NamedController:
+    """A gain with two times in one unit."""
+    scale = _MINUTE if unit == " min" else 1.0
+    times = Dial(integral, Quantity.TN, integral, unit, scale), Dial(derivative, Quantity.TV, derivative, unit, scale)
+    return NamedController((gain, *times), form)
+
+
+def _apart(gain: Dial, integral: tuple[str, str, float], derivative: tuple[str, str, float]) -> NamedController:
+    """Three gains side by side, all told of the same: word, unit and scale of the other two."""
+    (i_word, i_unit, i_scale), (d_word, d_unit, d_scale) = integral, derivative
+    i_gain = Dial(i_word, Quantity.KI, i_word, i_unit, i_scale, gain.of_span)
+    d_gain = Dial(d_word, Quantity.KD, d_word, d_unit, d_scale, gain.of_span)
+    return NamedController((gain, i_gain, d_gain), Form.PARALLEL)
+
+
 _MINUTE = SECONDS_PER_MINUTE
-_RATES = ("IGain", "/min", 1.0 / _MINUTE), ("DGain", " min", _MINUTE)
-_DELTAV = _dials(_gain("GAIN"), ("RESET", " s", 1.0), ("RATE", " s", 1.0))
-_HONEYWELL = _dials(_gain("K"), ("T1", " min", _MINUTE), ("T2", " min", _MINUTE))
-_COPTER = _dials(_gain("P", of_span=False), ("I", "/s", 1.0), ("D", " s", 1.0), apart=True)
+_COPTER = _apart(_gain("P", of_span=False), ("I", "/s", 1.0), ("D", " s", 1.0))
+_KI, _KD = Dial("KI", Quantity.REPEATS, "KI", "/min"), Dial("KD", Quantity.TV, "KD", " min", _MINUTE)
+_INTG = Dial("INTG", Quantity.KI_TIME, "INTG", " s", of_span=True)
+_DGAIN = Dial("DGAIN", Quantity.KD, "DGAIN", " s", of_span=True)
+_ODRIVE = Dial("vel_integrator_gain", Quantity.KI, "vel_integrator_gain", "/s")
 NO_DERIVATIVE = Dial("", Quantity.KD, "")  # Stands where a controller has no derivative action
 CONTROLLERS = {
-    "deltav-standard": NamedController(_DELTAV, Form.IDEAL),
-    "deltav-series": NamedController(_DELTAV, Form.SERIES),
-    "honeywell-a": NamedController(_HONEYWELL, Form.IDEAL),
-    "honeywell-b": NamedController(_HONEYWELL, Form.IDEAL),
-    "honeywell-c": NamedController(_HONEYWELL, Form.IDEAL),
-    "siemens-cont-c": NamedController(
-        _dials(_gain("GAIN", of_span=False), ("TI", " s", 1.0), ("TD", " s", 1.0)), Form.IDEAL
-    ),
-    "siemens-pid-compact": NamedController(
-        _dials(_gain("Gain", of_span=False), ("Ti", " s", 1.0), ("Td", " s", 1.0)), Form.IDEAL
-    ),
-    "yokogawa": NamedController(
-        _dials(Dial("P", Quantity.XP, "P", " %", of_span=True), ("I", " s", 1.0), ("D", " s", 1.0)), Form.IDEAL
-    ),
-    "rockwell-pide": NamedController(_dials(_gain("PGain"), *_RATES, apart=True), Form.PARALLEL),
-    "rockwell-pide-dependent": NamedController(
-        _dials(_gain("PGain"), ("IGain", " min", _MINUTE), ("DGain", " min", _MINUTE)), Form.IDEAL
-    ),
-    "abb-800xa": NamedController(_dials(_gain("Gain"), ("Ti", " s", 1.0), ("Td", " s", 1.0)), Form.IDEAL),
-    "abb-fc19": NamedController(
-        (
-            _gain("K", of_span=False),
-            Dial("KI", Quantity.REPEATS, "KI", "/min"),
-            Dial("KD", Quantity.TV, "KD", " min", _MINUTE),
-        ),
-        Form.IDEAL,
-    ),
-    "ovation": NamedController(
-        (
-            _gain("PGAIN"),
-            Dial("INTG", Quantity.KI_TIME, "INTG", " s", of_span=True),
-            Dial("DGAIN", Quantity.KD, "DGAIN", " s", of_span=True),
-        ),
-        Form.PARALLEL,
-    ),
-    "ardupilot": NamedController(_COPTER, Form.PARALLEL),
-    "px4": NamedController(_COPTER, Form.PARALLEL),
-    "odrive": NamedController(
-        (
-            _gain("vel_gain", of_span=False),
-            Dial("vel_integrator_gain", Quantity.KI, "vel_integrator_gain", "/s"),
-            NO_DERIVATIVE,
-        ),
-        Form.PARALLEL,
-    ),
+    "deltav-standard": _timed(_gain("GAIN"), "RESET", "RATE"),
+    "deltav-series": _timed(_gain("GAIN"), "RESET", "RATE", form=Form.SERIES),
+    **dict.fromkeys(("honeywell-a", "honeywell-b", "honeywell-c"), _timed(_gain("K"), "T1", "T2", " min")),
+    "siemens-cont-c": _timed(_gain("GAIN", of_span=False), "TI", "TD"),
+    "siemens-pid-compact": _timed(_gain("Gain", of_span=False), "Ti", "Td"),
+    "yokogawa": _timed(Dial("P", Quantity.XP, "P", " %", of_span=True), "I", "D"),
+    "rockwell-pide": _apart(_gain("PGain"), ("IGain", "/min", 1.0 / _MINUTE), ("DGain", " min", _MINUTE)),
+    "rockwell-pide-dependent": _timed(_gain("PGain"), "IGain", "DGain", " min"),
+    "abb-800xa": _timed(_gain("Gain"), "Ti", "Td"),
+    "abb-fc19": NamedController((_gain("K", of_span=False), _KI, _KD), Form.IDEAL),
+    "ovation": NamedController((_gain("PGAIN"), _INTG, _DGAIN), Form.PARALLEL),
+    "ardupilot": _COPTER,
+    "px4": _COPTER,
+    "odrive": NamedController((_gain("vel_gain", of_span=False), _ODRIVE, NO_DERIVATIVE), Form.PARALLEL),
 }
 """Vendors' controllers by their names."""
 

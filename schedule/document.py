@@ -175,16 +175,13 @@ def _region_lines(regions: Regions, i: int, gains: PidGains) -> Iterator[str]:
     for key in ("kp", "ki", "kd"):
         yield f"{key} = {_number(getattr(gains, key))}"
     yield f"form = {_quoted(Form.PARALLEL)}"  # last, because it must be there: a file cut within a number is refused
-    yield f"# {_for_people(gains)}"
-
-
-def _for_people(gains: PidGains) -> str:
     try:
         ideal = to_ideal(gains)
     except ValueError:
-        return "no ideal form"
-    tau_i = "no integral action" if ideal.tau_i_s is None else f"tau_i = {ideal.tau_i_s:.4g} s"
-    return f"ideal form: kc = {ideal.kc:.4g}, {tau_i}, tau_d = {ideal.tau_d_s:.4g} s"
+        yield "# no ideal form"
+    else:
+        tau_i = "no integral action" if ideal.tau_i_s is None else f"tau_i = {ideal.tau_i_s:.4g} s"
+        yield f"# ideal form: kc = {ideal.kc:.4g}, {tau_i}, tau_d = {ideal.tau_d_s:.4g} s"
 
 
 def _number(value: float) -> str:

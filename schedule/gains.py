@@ -193,14 +193,7 @@ class Form(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class SeriesGains:
-    """Gains of the series (cascade, interacting) form.
-
-    kc : gain, co units per pv unit.
-    tau_i_s : integral time in seconds, None for no integral action.
-    tau_d_s : derivative time in seconds.
-
-    Raises ValueError: a value is not finite, kc is 0, tau_i_s is not positive or tau_d_s is negative.
-    """
+    """Gains of the series (cascade, interacting) form; fields and errors as IdealGains."""
 
     kc: float
     tau_i_s: float | None

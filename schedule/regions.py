@@ -166,8 +166,6 @@ def place(law: AxisLaw, part: int, since_s: float, y: float, t_s: float) -> int:
 
 # ---- Operating regions along one or two scheduling variables
 
-__all__ = ["VARIABLES", "Axis", "Boundary", "RegionLaw", "RegionState", "Regions", "choose", "enter", "values"]
-
 
 class RegionState(NamedTuple):
     """Where a loop is. Plain scalars only: it is kept in the memory and travels per sample.

@@ -19,20 +19,12 @@ from enum import StrEnum
 from itertools import permutations
 from typing import NamedTuple
 
-from retuner.schedule.gains import (
-    IdealGains,
-    PidGains,
-    SeriesGains,
-    proportional_band_pct,
-    repeats_per_min,
-    to_ideal,
-    to_series,
-)
+from retuner.schedule import gains as forms
+from retuner.schedule.gains import SECONDS_PER_MINUTE, IdealGains, PidGains, SeriesGains, proportional_band_pct
 from retuner.schedule.late_dataclass import dataclass
 
 SINGLE_MAX = 3.4028234663852886e38
 END_ROUNDING = 1e-6  # Share of a step by which an end may miss the step that it is meant to be
-SECONDS_PER_MINUTE = 60.0
 
 
 class Quantity(StrEnum):
@@ -177,7 +169,10 @@ class VendorUnits:
         ):
             if value and not has.intersection(quantities):
                 raise ValueError(f"the controller has no number for {name} action, but this set uses it")
-        shown = self._shown(gains)
+        # the set in the form that the controller's times are told of, where it has any
+        shown = None
+        if has & {Quantity.TN, Quantity.TV, Quantity.REPEATS, Quantity.XP}:
+            shown = forms.to_series(gains) if self.series else forms.to_ideal(gains)
         found = {}
         for gain in self.gains:
             wanted = _wanted(gain.quantity, gains, shown, self.pv_span, self.co_span)
@@ -245,12 +240,6 @@ class VendorUnits:
         """The numbers that one message carries."""
         return {str(gain.quantity): numbers[gain.quantity] for gain in self.gains if gain.message == message}
 
-    def _shown(self, gains: PidGains) -> IdealGains | SeriesGains | None:
-        """The set in the form that the controller's times are told of; None where it needs none."""
-        if not {Quantity.TN, Quantity.TV, Quantity.REPEATS, Quantity.XP} & {gain.quantity for gain in self.gains}:
-            return None
-        return to_series(gains) if self.series else to_ideal(gains)
-
 
 def _wanted(
     quantity: Quantity, gains: PidGains, shown: IdealGains | SeriesGains | None, pv_span: float, co_span: float
@@ -272,7 +261,7 @@ def _wanted(
         case Quantity.TN:
             return shown.tau_i_s
         case Quantity.REPEATS:
-            return repeats_per_min(shown.tau_i_s)
+            return forms.repeats_per_min(shown.tau_i_s)
     return shown.tau_d_s
 
 

@@ -10,9 +10,9 @@ from pydantic import Field
 from retuner.config.section import Many, Problem, Section, setting
 from retuner.schedule.controller_units import Acting, ControllerUnits
 from retuner.schedule.dials import KEYS, Dial
-from retuner.schedule.gains import Form, PidGains
+from retuner.schedule.gains import SECONDS_PER_MINUTE, Form, PidGains
 from retuner.schedule.regions import CAN, Axis, Regions
-from retuner.schedule.vendor_units import SECONDS_PER_MINUTE, Quantity
+from retuner.schedule.vendor_units import Quantity
 
 IntegralTime = Annotated[float, Field(gt=0, le=1e9)]
 Dials = tuple[Dial, Dial, Dial]
