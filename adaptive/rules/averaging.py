@@ -36,27 +36,19 @@ def averaging(model: ProcessModel, kind: ControllerKind = PI, wishes: Wishes | N
             raise ValueError(f"{name} = {value} must be a finite number other than 0")
     kc = math.copysign(PEAK * abs(u0 / y_max), model.k)
     slowness_s = 1.0 / (model.k * kc)
-    found = tuning("averaging", "series", kc, 4.0 * slowness_s, 0.0, None)
     if slowness_s < 2.0 * model.theta_s:
         raise ValueError(
             f"ymax = {y_max:g} leaves the level no room to average: these settings are faster than tight control with "
             f"theta = {model.theta_s:g} s; use rule simc"
         )
-    if slowness_s < SLOW_ENOUGH * model.theta_s:
-        late = f"theta = {model.theta_s:g} s is not small against 1/(k' Kc) = {slowness_s:.4g} s"
-        found = replace(found, notes=(f"{late}: the level goes somewhat beyond ymax",))
-    return found
+    late = f"theta = {model.theta_s:g} s is not small against 1/(k' Kc) = {slowness_s:.4g} s"
+    notes = (f"{late}: the level goes somewhat beyond ymax",) if slowness_s < SLOW_ENOUGH * model.theta_s else ()
+    return replace(tuning("averaging", "series", kc, 4.0 * slowness_s, 0.0, None), notes=notes)
 
 
 RULES = (
-    Rule(
-        name="averaging",
-        form="series",
-        formulas={PI: ("Kc = 2 |u0|/(e |ymax|)", "tau_I = 4/(k' Kc)")},
-        source="Marlin 1995, Process Control, section 18.3",
-        valid="a tank that may move and a flow that must not; theta well below 1/(k' Kc)",
-        types=(ProcessType.INTEGRATING,),
-        wishes=("u0", "y_max"),
-        from_model=averaging,
-    ),
-)
+    Rule("averaging", "series", {PI: ("Kc = 2 |u0|/(e |ymax|)", "tau_I = 4/(k' Kc)")},
+         "Marlin 1995, Process Control, section 18.3",
+         "a tank that may move and a flow that must not; theta well below 1/(k' Kc)",
+         types=(ProcessType.INTEGRATING,), wishes=("u0", "y_max"), from_model=averaging),
+)  # fmt: skip

@@ -8,18 +8,10 @@ Ideal form. Fitted over a test batch of about 130 processes to Ms = Mt = 1.4.
 """
 
 from retuner.adaptive.process.model import ProcessModel, ProcessType
-from retuner.adaptive.rules.rule import (
-    FIRST_ORDER,
-    ControllerKind,
-    Rule,
-    Tuning,
-    Wishes,
-    dead_time,
-    first_order,
-    tuning,
-)
+from retuner.adaptive.rules import rule as known
+from retuner.adaptive.rules.rule import FIRST_ORDER, ControllerKind, Rule, Tuning, Wishes, first_order, tuning
 
-PI, PID = ControllerKind.PI, ControllerKind.PID
+P, PI, PID = ControllerKind.P, ControllerKind.PI, ControllerKind.PID
 
 
 def amigo(model: ProcessModel, kind: ControllerKind = PI, _wishes: Wishes | None = None) -> Tuning:
@@ -27,7 +19,7 @@ def amigo(model: ProcessModel, kind: ControllerKind = PI, _wishes: Wishes | None
 
     Raises ValueError: the dead time is 0.
     """
-    k, lag, dead = model.k, model.tau1_s, dead_time(model)
+    k, lag, dead = model.k, model.tau1_s, known.dead_time(model)
     if model.type == ProcessType.INTEGRATING:
         if kind == PI:
             return tuning("amigo", "ideal", 0.35 / (k * dead), 13.4 * dead, 0.0, None)
@@ -41,26 +33,14 @@ def amigo(model: ProcessModel, kind: ControllerKind = PI, _wishes: Wishes | None
 
 
 AMIGO = Rule(
-    name="amigo",
-    form="ideal",
-    formulas={
-        PI: (
-            "K = 0.15/k + (0.35 - L T/(L + T)^2) T/(k L)",
-            "Ti = 0.35 L + 13 L T^2/(T^2 + 12 L T + 7 L^2)",
-            "integrating: K = 0.35/(k' L), Ti = 13.4 L",
-        ),
-        PID: (
-            "K = (0.2 + 0.45 T/L)/k",
-            "Ti = L (0.4 L + 0.8 T)/(L + 0.1 T)",
-            "Td = 0.5 L T/(0.3 L + T)",
-            "integrating: K = 0.45/(k' L), Ti = 8 L, Td = 0.5 L",
-        ),
-    },
-    source="Astrom & Hagglund 2004, J. Process Control 14, 635",
-    valid="any L/T > 0; conservative PID for L/T < 1",
-    types=(ProcessType.FOPDT, ProcessType.INTEGRATING, ProcessType.DELAY),
-    from_model=amigo,
-)
+    "amigo", "ideal",
+    {PI: ("K = 0.15/k + (0.35 - L T/(L + T)^2) T/(k L)", "Ti = 0.35 L + 13 L T^2/(T^2 + 12 L T + 7 L^2)",
+          "integrating: K = 0.35/(k' L), Ti = 13.4 L"),
+     PID: ("K = (0.2 + 0.45 T/L)/k", "Ti = L (0.4 L + 0.8 T)/(L + 0.1 T)", "Td = 0.5 L T/(0.3 L + T)",
+           "integrating: K = 0.45/(k' L), Ti = 8 L, Td = 0.5 L")},
+    "Astrom & Hagglund 2004, J. Process Control 14, 635", "any L/T > 0; conservative PID for L/T < 1",
+    types=(ProcessType.FOPDT, ProcessType.INTEGRATING, ProcessType.DELAY), from_model=amigo,
+)  # fmt: skip
 
 
 # Cohen and Coon's rule for the process reaction curve (Cohen & Coon 1953, Trans. ASME 75, 827).
@@ -71,9 +51,6 @@ AMIGO = Rule(
 #     PID  Kc = (tau / (K L)) (4/3 + r/4)     Ti = L (32 + 6 r) / (13 + 8 r)    Td = 4 L / (11 + 2 r)
 #
 # Ideal form. Made for a quarter decay after a load step, so its loops swing: Ms is seldom below 2.
-
-
-P, PI, PID = ControllerKind.P, ControllerKind.PI, ControllerKind.PID
 
 
 def cohen_coon(model: ProcessModel, kind: ControllerKind = PI, _wishes: Wishes | None = None) -> Tuning:
@@ -92,18 +69,13 @@ def cohen_coon(model: ProcessModel, kind: ControllerKind = PI, _wishes: Wishes |
 
 
 COHEN_COON = Rule(
-    name="cohen-coon",
-    form="ideal",
-    formulas={
-        P: ("Kc = (tau/(K L)) (1 + L/(3 tau))",),
-        PI: ("Kc = (tau/(K L)) (0.9 + L/(12 tau))", "Ti = L (30 + 3 L/tau)/(9 + 20 L/tau)"),
-        PID: ("Kc = (tau/(K L)) (4/3 + L/(4 tau))", "Ti = L (32 + 6 L/tau)/(13 + 8 L/tau)", "Td = 4 L/(11 + 2 L/tau)"),
-    },
-    source="Cohen & Coon 1953, Trans. ASME 75, 827",
-    valid="0.1 < L/tau < 1 or so; quarter decay, so little robust",
-    types=FIRST_ORDER,
-    from_model=cohen_coon,
-)
+    "cohen-coon", "ideal",
+    {P: ("Kc = (tau/(K L)) (1 + L/(3 tau))",),
+     PI: ("Kc = (tau/(K L)) (0.9 + L/(12 tau))", "Ti = L (30 + 3 L/tau)/(9 + 20 L/tau)"),
+     PID: ("Kc = (tau/(K L)) (4/3 + L/(4 tau))", "Ti = L (32 + 6 L/tau)/(13 + 8 L/tau)", "Td = 4 L/(11 + 2 L/tau)")},
+    "Cohen & Coon 1953, Trans. ASME 75, 827", "0.1 < L/tau < 1 or so; quarter decay, so little robust",
+    types=FIRST_ORDER, from_model=cohen_coon,
+)  # fmt: skip
 
 
 # Smallest integral of time-weighted absolute error (ITAE) for a first order model with dead time.
@@ -158,40 +130,18 @@ def _noted(found: Tuning, r: float) -> Tuning:
 
 
 ITAE_RULES = (
-    Rule(
-        name="itae-load",
-        form="ideal",
-        formulas={
-            P: ("Kc = (0.490/k) (theta/tau)^-1.084",),
-            PI: ("Kc = (0.859/k) (theta/tau)^-0.977", "Ti = (tau/0.674) (theta/tau)^0.680"),
-            PID: (
-                "Kc = (1.357/k) (theta/tau)^-0.947",
-                "Ti = (tau/0.842) (theta/tau)^0.738",
-                "Td = 0.381 tau (theta/tau)^0.995",
-            ),
-        },
-        source="Lopez, Miller, Smith & Murrill 1967, Instrum. Technol. 14, 57",
-        valid="0.1 <= theta/tau <= 1",
-        types=FIRST_ORDER,
-        from_model=itae_load,
-    ),
-    Rule(
-        name="itae-setpoint",
-        form="ideal",
-        formulas={
-            PI: ("Kc = (0.586/k) (theta/tau)^-0.916", "Ti = tau/(1.03 - 0.165 theta/tau)"),
-            PID: (
-                "Kc = (0.965/k) (theta/tau)^-0.85",
-                "Ti = tau/(0.796 - 0.1465 theta/tau)",
-                "Td = 0.308 tau (theta/tau)^0.929",
-            ),
-        },
-        source="Rovira, Murrill & Smith 1969, Instrum. Control Syst. 42, 67",
-        valid="0.1 <= theta/tau <= 1",
-        types=FIRST_ORDER,
-        from_model=itae_setpoint,
-    ),
-)
-
-
+    Rule("itae-load", "ideal",
+         {P: ("Kc = (0.490/k) (theta/tau)^-1.084",),
+          PI: ("Kc = (0.859/k) (theta/tau)^-0.977", "Ti = (tau/0.674) (theta/tau)^0.680"),
+          PID: ("Kc = (1.357/k) (theta/tau)^-0.947", "Ti = (tau/0.842) (theta/tau)^0.738",
+                "Td = 0.381 tau (theta/tau)^0.995")},
+         "Lopez, Miller, Smith & Murrill 1967, Instrum. Technol. 14, 57", "0.1 <= theta/tau <= 1",
+         types=FIRST_ORDER, from_model=itae_load),
+    Rule("itae-setpoint", "ideal",
+         {PI: ("Kc = (0.586/k) (theta/tau)^-0.916", "Ti = tau/(1.03 - 0.165 theta/tau)"),
+          PID: ("Kc = (0.965/k) (theta/tau)^-0.85", "Ti = tau/(0.796 - 0.1465 theta/tau)",
+                "Td = 0.308 tau (theta/tau)^0.929")},
+         "Rovira, Murrill & Smith 1969, Instrum. Control Syst. 42, 67", "0.1 <= theta/tau <= 1",
+         types=FIRST_ORDER, from_model=itae_setpoint),
+)  # fmt: skip
 RULES = (AMIGO, COHEN_COON, *ITAE_RULES)

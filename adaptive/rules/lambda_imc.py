@@ -9,16 +9,8 @@ three times tau in the slides; here 3 tau by default, and three dead times on an
 """
 
 from retuner.adaptive.process.model import ProcessModel, ProcessType
-from retuner.adaptive.rules.rule import (
-    FIRST_ORDER,
-    FIRST_ORDER_OR_INTEGRATING,
-    ControllerKind,
-    Rule,
-    Tuning,
-    Wishes,
-    dead_time,
-    tuning,
-)
+from retuner.adaptive.rules import rule as known
+from retuner.adaptive.rules.rule import ControllerKind, Rule, Tuning, Wishes, tuning
 
 PI, PID = ControllerKind.PI, ControllerKind.PID
 LAMBDA_PER_TAU = 3.0  # Default lambda over tau for a self-regulating process, the calmer end of the slides' 2 to 3
@@ -34,7 +26,7 @@ def lambda_tuning(model: ProcessModel, kind: ControllerKind = PI, wishes: Wishes
     if model.type == ProcessType.INTEGRATING:
         if kind == PID:
             raise ValueError("rule lambda has no PID settings for an integrating process; give --kind pi")
-        lam = wanted if wanted is not None else LAMBDA_PER_DEAD_TIME * dead_time(model)
+        lam = wanted if wanted is not None else LAMBDA_PER_DEAD_TIME * known.dead_time(model)
         reset = 2 * _positive(lam) + model.theta_s
         return tuning("lambda", "ideal", reset / (model.k * (lam + model.theta_s) ** 2), reset, 0.0, lam)
     lam = _positive(wanted if wanted is not None else LAMBDA_PER_TAU * model.tau1_s)
@@ -52,22 +44,14 @@ def _positive(lam: float) -> float:
 
 
 LAMBDA = Rule(
-    name="lambda",
-    form="ideal",
-    formulas={
-        PI: (
-            "Kc = tau/(K (lambda + L))",
-            "Ti = tau",
-            "integrating: Kc = (2 lambda + L)/(k' (lambda + L)^2), Ti = 2 lambda + L",
-        ),
-        PID: ("Kc = (2 tau + L)/(2 K (lambda + L))", "Ti = tau + L/2", "Td = tau L/(2 tau + L)"),
-    },
-    source="Putra, Tuning methods of PID controller (lecture slides) for PID; the usual PI forms",
-    valid="lambda 2 to 3 tau (default 3 tau); integrating: default 3 L",
-    types=FIRST_ORDER_OR_INTEGRATING,
-    wishes=("tau_c_s",),
-    from_model=lambda_tuning,
-)
+    "lambda", "ideal",
+    {PI: ("Kc = tau/(K (lambda + L))", "Ti = tau",
+          "integrating: Kc = (2 lambda + L)/(k' (lambda + L)^2), Ti = 2 lambda + L"),
+     PID: ("Kc = (2 tau + L)/(2 K (lambda + L))", "Ti = tau + L/2", "Td = tau L/(2 tau + L)")},
+    "Putra, Tuning methods of PID controller (lecture slides) for PID; the usual PI forms",
+    "lambda 2 to 3 tau (default 3 tau); integrating: default 3 L",
+    types=known.FIRST_ORDER_OR_INTEGRATING, wishes=("tau_c_s",), from_model=lambda_tuning,
+)  # fmt: skip
 
 
 # Internal model control for a first order model with dead time (Rivera, Morari & Skogestad 1986, table 2).
@@ -88,10 +72,7 @@ IMC_LAMBDA_PER_TAU = 0.2  # smallest lambda over tau that the source recommends
 def _lambda(model: ProcessModel, kind: ControllerKind, wishes: Wishes | None) -> float:
     """The given lambda, else the smallest one recommended."""
     least = max(LAMBDA_PER_THETA[kind] * model.theta_s, IMC_LAMBDA_PER_TAU * model.tau1_s)
-    lam = least if wishes is None or wishes.tau_c_s is None else wishes.tau_c_s
-    if not 0 < lam < float("inf"):
-        raise ValueError(f"tau_c (lambda) = {lam} s must be positive and finite")
-    return lam
+    return _positive(least if wishes is None or wishes.tau_c_s is None else wishes.tau_c_s)
 
 
 def imc(model: ProcessModel, kind: ControllerKind = PI, wishes: Wishes | None = None) -> Tuning:
@@ -111,34 +92,13 @@ def imc_pi(model: ProcessModel, _kind: ControllerKind = PI, wishes: Wishes | Non
 
 SOURCE = "Rivera, Morari & Skogestad 1986, Ind. Eng. Chem. Process Des. Dev. 25, 252, table 2"
 IMC_RULES = (
-    Rule(
-        name="imc",
-        form="ideal",
-        formulas={
-            PI: ("Kc = tau/(k lambda)", "Ti = tau"),
-            PID: (
-                "Kc = (2 tau + theta)/(k (2 lambda + theta))",
-                "Ti = tau + theta/2",
-                "Td = tau theta/(2 tau + theta)",
-            ),
-        },
-        source=SOURCE,
-        valid="lambda > 0.2 tau, and > 1.7 theta (PI) or > 0.8 theta (PID): the defaults",
-        types=FIRST_ORDER,
-        wishes=("tau_c_s",),
-        from_model=imc,
-    ),
-    Rule(
-        name="imc-pi",
-        form="ideal",
-        formulas={PI: ("Kc = (tau + theta/2)/(k lambda)", "Ti = tau + theta/2")},
-        source=f"{SOURCE} ('improved PI')",
-        valid="lambda > 0.2 tau and > 1.7 theta: the default",
-        types=(ProcessType.FOPDT, ProcessType.DELAY),
-        wishes=("tau_c_s",),
-        from_model=imc_pi,
-    ),
-)
-
-
+    Rule("imc", "ideal",
+         {PI: ("Kc = tau/(k lambda)", "Ti = tau"),
+          PID: ("Kc = (2 tau + theta)/(k (2 lambda + theta))", "Ti = tau + theta/2", "Td = tau theta/(2 tau + theta)")},
+         SOURCE, "lambda > 0.2 tau, and > 1.7 theta (PI) or > 0.8 theta (PID): the defaults",
+         types=known.FIRST_ORDER, wishes=("tau_c_s",), from_model=imc),
+    Rule("imc-pi", "ideal", {PI: ("Kc = (tau + theta/2)/(k lambda)", "Ti = tau + theta/2")},
+         f"{SOURCE} ('improved PI')", "lambda > 0.2 tau and > 1.7 theta: the default",
+         types=(ProcessType.FOPDT, ProcessType.DELAY), wishes=("tau_c_s",), from_model=imc_pi),
+)  # fmt: skip
 RULES = (LAMBDA, *IMC_RULES)

@@ -28,14 +28,8 @@ def optimal(model: ProcessModel, kind: ControllerKind = PI, wishes: Wishes | Non
 
 TEXT = ("minimise J = 0.5 (IAE_ys/IAE_ys* + IAE_d/IAE_d*) subject to Ms = m (default 1.59)",)
 RULES = (
-    Rule(
-        name="optimal",
-        form="ideal",
-        formulas={PI: TEXT, PID: TEXT},
-        source="Grimholt & Skogestad 2012, IFAC PID'12, section 3",
-        valid="any process with a limit of stability; PI not for two integrators",
-        types=tuple(ProcessType),
-        wishes=("ms",),
-        from_model=optimal,
-    ),
-)
+    Rule("optimal", "ideal", {PI: TEXT, PID: TEXT},
+         "Grimholt & Skogestad 2012, IFAC PID'12, section 3",
+         "any process with a limit of stability; PI not for two integrators",
+         types=tuple(ProcessType), wishes=("ms",), from_model=optimal),
+)  # fmt: skip

@@ -116,10 +116,10 @@ def fitted_to(rule: Rule, model: ProcessModel) -> tuple[ProcessModel, tuple[str,
 # ---- How a rule came to its settings: its formulas, the numbers put in, and where they come from
 
 PREFIXES = {
-    "integrating: ": (ProcessType.INTEGRATING,),
-    "integrating with lag: ": (ProcessType.INTEGRATING_LAG,),
-    "pure delay: ": (ProcessType.DELAY,),
-    "double integrating: ": (ProcessType.DOUBLE_INTEGRATING,),
+    "integrating: ": ProcessType.INTEGRATING,
+    "integrating with lag: ": ProcessType.INTEGRATING_LAG,
+    "pure delay: ": ProcessType.DELAY,
+    "double integrating: ": ProcessType.DOUBLE_INTEGRATING,
 }
 """Lines of a formula that are for some structures only."""
 PRODUCT = re.compile(r"(?<=[\d)]) (?=[\d(])")
@@ -157,7 +157,15 @@ def explanation(
         put_in = fitted_to(rule, model)[0]
         if kind == ControllerKind.PI and rule.name.startswith(("simc", "haugen")):
             put_in = without_second_lag(put_in)
-        lines, numbers = _lines_for(lines, put_in.type), _symbols(put_in, found, wishes)
+        # the lines that apply to this structure; its own lines, where it has some, stand for all others
+        own = tuple(
+            line.removeprefix(prefix)
+            for line in lines
+            for prefix, structure in PREFIXES.items()
+            if line.startswith(prefix) and structure == put_in.type
+        )
+        lines = own or tuple(line for line in lines if not line.startswith(tuple(PREFIXES)))
+        numbers = _symbols(put_in, found, wishes)
     else:
         swing, names = reading_for(rule, model, reading), ("Ku", "Pu")
         names = names if rule.takes == Takes.ULTIMATE else ("Kq", "Pq")
@@ -167,17 +175,6 @@ def explanation(
     return Explanation(lines, tuple(_filled(line, used) for line in lines), used, rule.source, rule.valid)
 
 
-def _lines_for(lines: tuple[str, ...], structure: ProcessType) -> tuple[str, ...]:
-    """The lines that apply to a structure; its own lines, where it has some, stand for all others."""
-    own = tuple(
-        line.removeprefix(prefix)
-        for line in lines
-        for prefix, structures in PREFIXES.items()
-        if line.startswith(prefix) and structure in structures
-    )
-    return own or tuple(line for line in lines if not line.startswith(tuple(PREFIXES)))
-
-
 def _symbols(model: ProcessModel, found: Tuning, wishes: Wishes) -> dict[str, float]:
     """Numbers under every name that the formulas use for them."""
     symbols = {"k": model.k, "K": model.k, "k'": model.slope, "k''": model.k, "M": model.slope}
@@ -185,14 +182,8 @@ def _symbols(model: ProcessModel, found: Tuning, wishes: Wishes) -> dict[str, fl
     if model.type in {ProcessType.FOPDT, ProcessType.SOPDT, ProcessType.DELAY}:
         symbols |= {"tau1": model.tau1_s, "tau": model.tau1_s, "T": model.tau1_s}
     symbols |= {"tau2": model.tau2_s} if model.tau2_s else {}
-    given = {
-        "tau_c": found.tau_c_s,
-        "lambda": found.tau_c_s,
-        "u0": wishes.u0,
-        "ymax": wishes.y_max,
-        "m": wishes.ms,
-        "c": wishes.c or TAU_I_FACTOR,
-    }
+    given = {"tau_c": found.tau_c_s, "lambda": found.tau_c_s, "u0": wishes.u0, "ymax": wishes.y_max}
+    given |= {"m": wishes.ms, "c": wishes.c or TAU_I_FACTOR}
     return symbols | {name: value for name, value in given.items() if value is not None}
 
 

@@ -22,7 +22,6 @@ TAU_I_FACTOR = 4.0
 TAU_I_FACTOR_HAUGEN = 1.44
 """Haugen's faster choice of c (appendix A, "Skogestad's method for PID tuning"), at the price of robustness."""
 TAU_I_FACTOR_HAUGEN_2010 = 2.0  # Haugen's choice of 2010, as Grimholt & Skogestad (2012, section 4.3) quote it
-"""Bisections of tau_c when an Ms is demanded: 2^-24 of the range, far below what a model is known to."""
 
 
 def simc(

@@ -20,23 +20,15 @@ from dataclasses import replace
 
 from retuner.adaptive.loop.margins import gain_margin, sensitivity_peak
 from retuner.adaptive.process.model import ZERO_SIDE, LinearProcess, ProcessModel, ProcessType
+from retuner.adaptive.rules import simc as table
 from retuner.adaptive.rules.rule import ControllerKind, Rule, Tuning, Wishes, tuning
-from retuner.adaptive.rules.simc import (
-    TAU_I_FACTOR,
-    TAU_I_FACTOR_HAUGEN,
-    TAU_I_FACTOR_HAUGEN_2010,
-    derivative_pays,
-    simc,
-    without_second_lag,
-)
+from retuner.adaptive.rules.simc import TAU_I_FACTOR, derivative_pays, simc, without_second_lag
 from retuner.schedule.gains import PidGains
-
-# ---- The closed-loop time constant tau_c of a SIMC rule from what is wanted of the loop
 
 BISECTIONS = 45  # halvings of the range of ln tau_c: to 1e-12
 SLOWEST = 1e4  # largest tau_c tried, in units of the process' own slowest time; beyond it the loop does nothing
 
-TauCRule = Callable[[float], Tuning]  # SIMC settings at a given tau_c in seconds
+TauCRule = Callable[[float | None], Tuning]  # SIMC settings at a given tau_c in seconds; None for its own choice
 
 
 def _smallest(rule: TauCRule, process: LinearProcess, keeps: Callable[[PidGains], bool], what: str) -> Tuning:
@@ -120,15 +112,13 @@ def simc_improved(model: ProcessModel, tau_c_s: float | None = None, c: float = 
 PI, PID = ControllerKind.PI, ControllerKind.PID
 
 
-def _chosen(rule: TauCRule, default: Callable[[], Tuning], model: ProcessModel, wishes: Wishes) -> Tuning:
-    """Settings at the tau_c that the wishes ask for, directly or through Ms or GM."""
+def _chosen(rule: TauCRule, model: ProcessModel, wishes: Wishes) -> Tuning:
+    """Settings at the tau_c that the wishes ask for, directly or through Ms or GM; else at the rule's own."""
     asked = [name for name in ("tau_c_s", "ms", "gm") if getattr(wishes, name) is not None]
     if len(asked) > 1:
         raise ValueError("tau_c, ms and gm exclude each other: each of them fixes tau_c; give one")
-    if wishes.tau_c_s is not None:
-        if wishes.tau_c_s < 0:
-            raise ValueError(f"tau_c = {wishes.tau_c_s} s must not be negative")
-        return rule(wishes.tau_c_s)
+    if wishes.tau_c_s is not None and wishes.tau_c_s < 0:
+        raise ValueError(f"tau_c = {wishes.tau_c_s} s must not be negative")
     process, ms, gm = model.linear(), wishes.ms, wishes.gm
     if ms is not None:
         if not 1 < ms < math.inf:
@@ -138,7 +128,7 @@ def _chosen(rule: TauCRule, default: Callable[[], Tuning], model: ProcessModel, 
         if not 1 < gm < math.inf:
             raise ValueError(f"gm = {gm} must be more than 1 and finite; 3 is a usual demand")
         return _smallest(rule, process, lambda gains: gain_margin(process, gains) >= gm, f"GM = {gm:g}")
-    return default()
+    return rule(wishes.tau_c_s)
 
 
 def _checked(model: ProcessModel, kind: ControllerKind) -> None:
@@ -165,9 +155,7 @@ def _plain(name: str, c: float) -> Callable[[ProcessModel, ControllerKind, Wishe
     def work(model: ProcessModel, kind: ControllerKind, wishes: Wishes) -> Tuning:
         _checked(model, kind)
         factor = c if wishes.c is None else wishes.c
-        found = _chosen(
-            lambda tau_c_s: simc(model, tau_c_s, kind, factor), lambda: simc(model, None, kind, factor), model, wishes
-        )
+        found = _chosen(lambda tau_c_s: simc(model, tau_c_s, kind, factor), model, wishes)
         return _with_notes(replace(found, rule=name), model, kind)
 
     return work
@@ -175,10 +163,7 @@ def _plain(name: str, c: float) -> Callable[[ProcessModel, ControllerKind, Wishe
 
 def _improved(model: ProcessModel, _kind: ControllerKind, wishes: Wishes) -> Tuning:
     factor = TAU_I_FACTOR if wishes.c is None else wishes.c
-    found = _chosen(
-        lambda tau_c_s: simc_improved(model, tau_c_s, factor), lambda: simc_improved(model, None, factor), model, wishes
-    )
-    return _with_notes(found, model, PI)
+    return _with_notes(_chosen(lambda tau_c_s: simc_improved(model, tau_c_s, factor), model, wishes), model, PI)
 
 
 def _smooth(model: ProcessModel, kind: ControllerKind, wishes: Wishes) -> Tuning:
@@ -202,17 +187,12 @@ EVERY = tuple(t for t in ProcessType if t not in {*ZERO_SIDE, ProcessType.TOPDT}
 GAIN = "Kc = tau1/(k (tau_c + theta)) = 1/(k' (tau_c + theta))"
 
 
-def _lines(c: str, *, derivative: bool) -> tuple[str, ...]:
+def _formulas(c: str) -> dict[ControllerKind, tuple[str, ...]]:
     """The formulas with this factor c: those of the first and second order, then those of the other structures."""
     reset, slow = f"tau_I = min(tau1, {c} (tau_c + theta))", f"Kc = 1/(k' (tau_c + theta)), tau_I = {c} (tau_c + theta)"
-    if not derivative:
-        return GAIN, reset, f"integrating: {slow}", "pure delay: Ki = 1/(k (tau_c + theta))"
     double = "double integrating: Kc = 1/(4 k'' (tau_c + theta)^2), tau_I = tau_D = 4 (tau_c + theta)"
-    return GAIN, reset, "tau_D = tau2", f"integrating with lag: {slow}, tau_D = tau2", double
-
-
-def _formulas(c: str) -> dict[ControllerKind, tuple[str, ...]]:
-    return {PI: _lines(c, derivative=False), PID: _lines(c, derivative=True)}
+    pi = (GAIN, reset, f"integrating: {slow}", "pure delay: Ki = 1/(k (tau_c + theta))")
+    return {PI: pi, PID: (GAIN, reset, "tau_D = tau2", f"integrating with lag: {slow}, tau_D = tau2", double)}
 
 
 SMOOTH = ("Kc = Kc,min = |u0|/|ymax|", "tau_c = 1/(k' Kc) - theta", "tau_I = min(tau1, c (tau_c + theta))")
@@ -242,8 +222,8 @@ RULES = (
          types=tuple(t for t in EVERY if t != ProcessType.DELAY), wishes=("u0", "y_max", "c"), from_model=_smooth),
     Rule("haugen", "series", _formulas("1.44"),
          "Haugen, appendix A 'Skogestad's method for PID tuning', k1 = 1.44", "faster load rejection, Ms about 2",
-         types=EVERY, wishes=WISHES, from_model=_plain("haugen", TAU_I_FACTOR_HAUGEN)),
+         types=EVERY, wishes=WISHES, from_model=_plain("haugen", table.TAU_I_FACTOR_HAUGEN)),
     Rule("haugen-2010", "series", _formulas("2"),
          "Haugen 2010, as quoted by Grimholt & Skogestad 2012, equation 9", "faster load rejection, Ms up to 2",
-         types=EVERY, wishes=WISHES, from_model=_plain("haugen-2010", TAU_I_FACTOR_HAUGEN_2010)),
+         types=EVERY, wishes=WISHES, from_model=_plain("haugen-2010", table.TAU_I_FACTOR_HAUGEN_2010)),
 )  # fmt: skip

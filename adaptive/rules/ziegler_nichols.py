@@ -13,20 +13,12 @@ have no series form.
 """
 
 from retuner.adaptive.process.model import ProcessModel
-from retuner.adaptive.rules.rule import (
-    FIRST_ORDER_OR_INTEGRATING,
-    ControllerKind,
-    Oscillation,
-    Rule,
-    Takes,
-    Tuning,
-    Wishes,
-    dead_time,
-    tuning,
-)
+from retuner.adaptive.rules import rule as known
+from retuner.adaptive.rules.rule import ControllerKind, Oscillation, Rule, Takes, Tuning, Wishes, tuning
 
 P, PI, PID = ControllerKind.P, ControllerKind.PI, ControllerKind.PID
 SLIDES = "Putra, Tuning methods of PID controller (lecture slides)"
+ZN = "Ziegler & Nichols 1942, Trans. ASME 64, 759"
 
 
 def zn_ultimate(swing: Oscillation, kind: ControllerKind = PI) -> Tuning:
@@ -39,64 +31,27 @@ def zn_ultimate(swing: Oscillation, kind: ControllerKind = PI) -> Tuning:
     return tuning("zn-ultimate", "ideal", 0.6 * ku, pu / 2, pu / 8, None)
 
 
-def zn_some_overshoot(swing: Oscillation, _kind: ControllerKind = PID) -> Tuning:
-    """The variant with some overshoot (ideal form)."""
-    return tuning("zn-some-overshoot", "ideal", 0.33 * swing.gain, 0.5 * swing.period_s, 0.33 * swing.period_s, None)
+def _gentler(name: str, gain: float, integral: float, derivative: float, source: str) -> Rule:
+    """A variant of the PID rule: Kc as a share of Ku, Ti and Td of Pu."""
+
+    def settings(swing: Oscillation, _kind: ControllerKind) -> Tuning:
+        return tuning(name, "ideal", gain * swing.gain, integral * swing.period_s, derivative * swing.period_s, None)
+
+    formula = (f"Kc = {gain:g} Ku", f"Ti = {integral:g} Pu", f"Td = {derivative:g} Pu")
+    return Rule(name, "ideal", {PID: formula}, source, "processes with an ultimate gain",
+                Takes.ULTIMATE, from_oscillation=settings)  # fmt: skip
 
 
-def zn_no_overshoot(swing: Oscillation, _kind: ControllerKind = PID) -> Tuning:
-    """The variant without overshoot, usual values (ideal form)."""
-    return tuning("zn-no-overshoot", "ideal", 0.2 * swing.gain, 0.5 * swing.period_s, 0.33 * swing.period_s, None)
-
-
-def zn_no_overshoot_printed(swing: Oscillation, _kind: ControllerKind = PID) -> Tuning:
-    """The variant without overshoot as the slides print it (ideal form)."""
-    settings = 0.2 * swing.gain, 0.3 * swing.period_s, 0.5 * swing.period_s
-    return tuning("zn-no-overshoot-printed", "ideal", *settings, None)
-
-
+USUAL = "the usual values of text books; the slides' example has them with two numbers exchanged"
 ULTIMATE_RULES = (
-    Rule(
-        name="zn-ultimate",
-        form="ideal",
-        formulas={
-            P: ("Kc = 0.5 Ku",),
-            PI: ("Kc = 0.45 Ku", "Ti = Pu/1.2"),
-            PID: ("Kc = 0.6 Ku", "Ti = Pu/2", "Td = Pu/8"),
-        },
-        source="Ziegler & Nichols 1942, Trans. ASME 64, 759",
-        valid="processes with an ultimate gain; quarter decay, so little robust",
-        takes=Takes.ULTIMATE,
-        from_oscillation=zn_ultimate,
-    ),
-    Rule(
-        name="zn-some-overshoot",
-        form="ideal",
-        formulas={PID: ("Kc = 0.33 Ku", "Ti = 0.5 Pu", "Td = 0.33 Pu")},
-        source=SLIDES,
-        valid="processes with an ultimate gain",
-        takes=Takes.ULTIMATE,
-        from_oscillation=zn_some_overshoot,
-    ),
-    Rule(
-        name="zn-no-overshoot",
-        form="ideal",
-        formulas={PID: ("Kc = 0.2 Ku", "Ti = 0.5 Pu", "Td = 0.33 Pu")},
-        source="the usual values of text books; the slides' example has them with two numbers exchanged",
-        valid="processes with an ultimate gain",
-        takes=Takes.ULTIMATE,
-        from_oscillation=zn_no_overshoot,
-    ),
-    Rule(
-        name="zn-no-overshoot-printed",
-        form="ideal",
-        formulas={PID: ("Kc = 0.2 Ku", "Ti = 0.3 Pu", "Td = 0.5 Pu")},
-        source=f"{SLIDES}, as printed",
-        valid="processes with an ultimate gain",
-        takes=Takes.ULTIMATE,
-        from_oscillation=zn_no_overshoot_printed,
-    ),
-)
+    Rule("zn-ultimate", "ideal",
+         {P: ("Kc = 0.5 Ku",), PI: ("Kc = 0.45 Ku", "Ti = Pu/1.2"), PID: ("Kc = 0.6 Ku", "Ti = Pu/2", "Td = Pu/8")},
+         ZN, "processes with an ultimate gain; quarter decay, so little robust",
+         Takes.ULTIMATE, from_oscillation=zn_ultimate),
+    _gentler("zn-some-overshoot", 0.33, 0.5, 0.33, SLIDES),
+    _gentler("zn-no-overshoot", 0.2, 0.5, 0.33, USUAL),
+    _gentler("zn-no-overshoot-printed", 0.2, 0.3, 0.5, f"{SLIDES}, as printed"),
+)  # fmt: skip
 
 
 # Ziegler and Nichols' rule for the process reaction curve (Ziegler & Nichols 1942, Trans. ASME 64, 759).
@@ -115,7 +70,7 @@ def zn_reaction(model: ProcessModel, kind: ControllerKind = PI, _wishes: Wishes 
 
     Raises ValueError: the dead time is 0.
     """
-    dead = dead_time(model)
+    dead = known.dead_time(model)
     unit = 1 / (model.slope * dead)
     if kind == P:
         return tuning("zn-reaction", "ideal", unit, None, 0.0, None)
@@ -125,18 +80,13 @@ def zn_reaction(model: ProcessModel, kind: ControllerKind = PI, _wishes: Wishes 
 
 
 REACTION = Rule(
-    name="zn-reaction",
-    form="ideal",
-    formulas={
-        P: ("Kc = tau/(K L) = 1/(M L)", "integrating: Kc = 1/(k' L)"),
-        PI: ("Kc = 0.9 tau/(K L)", "Ti = L/0.3", "integrating: Kc = 0.9/(k' L), Ti = L/0.3"),
-        PID: ("Kc = 1.2 tau/(K L)", "Ti = 2 L", "Td = 0.5 L", "integrating: Kc = 1.2/(k' L), Ti = 2 L, Td = 0.5 L"),
-    },
-    source="Ziegler & Nichols 1942, Trans. ASME 64, 759",
-    valid="0.1 < L/tau < 1 or so; quarter decay, so little robust",
-    types=FIRST_ORDER_OR_INTEGRATING,
-    from_model=zn_reaction,
-)
+    "zn-reaction", "ideal",
+    {P: ("Kc = tau/(K L) = 1/(M L)", "integrating: Kc = 1/(k' L)"),
+     PI: ("Kc = 0.9 tau/(K L)", "Ti = L/0.3", "integrating: Kc = 0.9/(k' L), Ti = L/0.3"),
+     PID: ("Kc = 1.2 tau/(K L)", "Ti = 2 L", "Td = 0.5 L", "integrating: Kc = 1.2/(k' L), Ti = 2 L, Td = 0.5 L")},
+    ZN, "0.1 < L/tau < 1 or so; quarter decay, so little robust",
+    types=known.FIRST_ORDER_OR_INTEGRATING, from_model=zn_reaction,
+)  # fmt: skip
 
 
 # Quarter decay: Ziegler and Nichols' modified method, for loops that must not be brought to the limit of stability.
@@ -147,23 +97,14 @@ REACTION = Rule(
 # Ideal form (PID appendix "PID controller, its tuning and design", table 1, modified method).
 
 
-PID = ControllerKind.PID
-
-
 def quarter_decay(swing: Oscillation, _kind: ControllerKind = PID) -> Tuning:
     """Quarter-decay settings (ideal form); swing holds Kq and Pq."""
     return tuning("quarter-decay", "ideal", swing.gain, swing.period_s / 1.5, swing.period_s / 6, None)
 
 
 QUARTER_DECAY = Rule(
-    name="quarter-decay",
-    form="ideal",
-    formulas={PID: ("Kc = Kq", "Ti = Pq/1.5", "Td = Pq/6")},
-    source="Ziegler & Nichols' modified method, as table 1 of the appendix 'PID controller, its tuning and design'",
-    valid="loops that can be made to swing with quarter decay",
-    takes=Takes.QUARTER_DECAY,
-    from_oscillation=quarter_decay,
-)
-
-
+    "quarter-decay", "ideal", {PID: ("Kc = Kq", "Ti = Pq/1.5", "Td = Pq/6")},
+    "Ziegler & Nichols' modified method, as table 1 of the appendix 'PID controller, its tuning and design'",
+    "loops that can be made to swing with quarter decay", Takes.QUARTER_DECAY, from_oscillation=quarter_decay,
+)  # fmt: skip
 RULES = (REACTION, *ULTIMATE_RULES, QUARTER_DECAY)
