@@ -23,8 +23,6 @@ COHERENT = 0.5  # coherence from which two loops swing together
 LOUDER = 1.3  # ratio of harmonics from which the loudest loop is named as the root
 STICKS = 0.2  # what its stretches must say of a valve for it to be the root
 BENT = 0.05  # third harmonic over the first, from which something in a loop is not linear
-
-
 ONE_MODE = 1.6
 """Ratio of the periods that two loops seem to have by themselves, up to which they may be one oscillation."""
 UNLIKELY = 1e-5  # odds by chance below which two loops that are compared among many keep step
@@ -84,21 +82,18 @@ def common_swings(loops: Sequence[Swinging]) -> list[CommonSwing]:
 
 def interactions(loops: Sequence[Swinging]) -> list[CommonSwing]:
     """Loops that act on each other, though what they make dies away. loops : each named as too strong by itself."""
-    ordered = sorted((one for one in loops if one.track is not None), key=lambda one: one.period_s)
+    ordered = sorted(loops, key=lambda one: one.period_s)
+    tracked = [(one, one.track) for one in ordered if one.track is not None]
     found = []
-    for i, loop in enumerate(ordered):
-        for other in ordered[i + 1 :]:
+    for i, (loop, track) in enumerate(tracked):
+        for other, its in tracked[i + 1 :]:
             if other.period_s > ONE_MODE * loop.period_s:
                 break
-            told = _told(loop, other)
-            if told is not None and told[0] >= COHERENT and _chance(loop, other) < UNLIKELY:
+            told = coherence(track, its)
+            if told is not None and told[0] >= COHERENT and by_chance(track, its) < UNLIKELY:
                 tags = tuple(sorted((loop.tag, other.tag)))
                 found.append(CommonSwing(loop.period_s, tags, None, AGAINST, interaction=True, coherence=told[0]))
     return found
-
-
-def _chance(a: Swinging, b: Swinging) -> float:
-    return by_chance(a.track, b.track) if a.track is not None and b.track is not None else 1.0
 
 
 def _first(group_of: list[int], i: int) -> int:
@@ -110,7 +105,7 @@ def _first(group_of: list[int], i: int) -> int:
 
 def together(a: Swinging, b: Swinging) -> bool:
     """Whether two loops swing together."""
-    told = coherence(a.track, b.track) if a.track is not None and b.track is not None else None
+    told = _told(a, b)
     if told is not None:
         return told[0] >= COHERENT
     apart = abs(a.period_s - b.period_s) > SAME_PERIOD * min(a.period_s, b.period_s)

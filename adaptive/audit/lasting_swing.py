@@ -6,7 +6,6 @@ only where a band of BAND either side of a frequency stands out of the power abo
 strength that counts has that share of the power (Wiener & Khinchin: the auto-covariance is the spectrum's transform).
 """
 
-from collections.abc import Iterator
 from functools import cache
 
 import numpy as np
@@ -30,8 +29,10 @@ def lasting_swing(error: FloatArray, co: FloatArray) -> tuple[Regularity, float]
     """The strongest lasting swing of the error, else of co, its period in samples, and in which share of the windows
     one lasts; None where there is none. Shapes (n,), n at least 3.
     """
-    found, last = [], 1
-    for pace in _paces(len(error)):
+    found, last, paces = [], 1, [1]
+    while len(error) / paces[-1] > WINDOW:  # until a window holds the record
+        paces.append(STEP * paces[-1])
+    for pace in paces:
         error, co, last = _means(error, pace // last), _means(co, pace // last), pace
         # the strongest lasting swing at one pace; error, co : means at it
         rows = _windows(error), _windows(co)
@@ -47,15 +48,6 @@ def lasting_swing(error: FloatArray, co: FloatArray) -> tuple[Regularity, float]
         if best is not None:
             found.append((best, len(waves) / parts))
     return max(found, key=lambda swing: swing[0].strength * swing[1], default=None)
-
-
-def _paces(samples: int) -> Iterator[int]:
-    """1, STEP, ... until a window holds the record."""
-    pace = 1
-    yield pace
-    while samples / pace > WINDOW:
-        pace *= STEP
-        yield pace
 
 
 def _means(x: FloatArray, many: int) -> FloatArray:

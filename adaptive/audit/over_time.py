@@ -62,8 +62,7 @@ def over_time(
     for begin, end in pairwise(edges):
         if end - begin < FEWEST_SAMPLES:
             continue
-        part = slice(begin, end)
-        window = Window(record.t_s[part], record.sp[part], record.pv[part], record.co[part])
+        window = record.part(slice(begin, end))
         by = measure(end - begin, window.sample_time_s, noise_sigma(window.co))
         sums = record_sums(window, by)
         if sums.held_s < SHOWN * period_s:
@@ -96,7 +95,6 @@ def joined_parts(parts: Sequence[PartOfTime]) -> list[PartOfTime]:
 
 
 NUMBERS = fields(PartOfTime)[2:]  # what is told of a part
-
 
 # Which stretches of a long record are diagnosed: where something happens, and spread over time.
 #
@@ -139,9 +137,8 @@ def stretches_of_interest(record: Window, period_s: float | None, most: int) -> 
         apart = all(begin >= b + m or b >= begin + many for b, m in taken)
         if len(taken) < most and apart and gap[begin] == gap[begin + many - 1]:
             taken.append((begin, many))
-    return [_part(record, begin, begin + many).condensed(MOST_WINDOW_SAMPLES) for begin, many in sorted(taken)] or [
-        record.condensed(MOST_WINDOW_SAMPLES)
-    ]
+    parts = [record.part(slice(begin, begin + many)) for begin, many in sorted(taken)]
+    return [part.condensed(MOST_WINDOW_SAMPLES) for part in parts or [record]]
 
 
 def spread_over(record: Window) -> list[Window]:
@@ -158,12 +155,8 @@ def spread_over(record: Window) -> list[Window]:
         edges = [begin, *inside, begin + length]
         longest = max(range(len(edges) - 1), key=lambda i: edges[i + 1] - edges[i])
         if edges[longest + 1] - edges[longest] >= FEWEST_WINDOW_SAMPLES or len(begins) == 1:
-            parts.append(_part(record, edges[longest], edges[longest + 1]))
+            parts.append(record.part(slice(edges[longest], edges[longest + 1])))
     return parts
-
-
-def _part(record: Window, begin: int, end: int) -> Window:
-    return Window(record.t_s[begin:end], record.sp[begin:end], record.pv[begin:end], record.co[begin:end])
 
 
 def _wanted(record: Window, length: int, gap: np.ndarray, *, events: bool) -> Iterator[Stretch]:
@@ -175,7 +168,11 @@ def _wanted(record: Window, length: int, gap: np.ndarray, *, events: bool) -> It
     changes = [(int(i - BEFORE * length), length) for i in np.argsort(moves)[::-1][:EVENTS] if moves[i] > 0]
     error = record.sp - record.pv
     telling = _events(error, len(error) // 2) if events else []
-    telling = telling or [(begin, length) for begin in _largest(error, whole, length)]
+    if not telling:  # stretches without gaps in which the error is largest
+        sums = np.concatenate([[0.0], np.cumsum(error**2)])
+        energy = sums[whole + length] - sums[whole]
+        largest = np.argsort(energy)[::-1][:: max(length // 4, 1)][:EVENTS]
+        telling = [(int(begin), length) for begin in whole[largest]]
     spread = [(int(b), length) for b in whole[np.linspace(0, len(whole) - 1, 12).astype(int)]] if len(whole) else []
     for some in zip_longest(newest, changes, telling[::2], telling[1::2], spread):
         yield from (stretch for stretch in some if stretch is not None)
@@ -197,10 +194,3 @@ def _events(error: FloatArray, longest: int) -> list[Stretch]:
             if means[at] > LEAST_SCORE * usual:
                 found.append((float(means[at]) / usual, (int(at - BEFORE * many), many)))
     return [stretch for _, stretch in sorted(found, reverse=True)]
-
-
-def _largest(error: FloatArray, whole: np.ndarray, length: int) -> Sequence[int]:
-    """Begins of stretches without gaps in which the error is largest."""
-    sums = np.concatenate([[0.0], np.cumsum(error**2)])
-    energy = sums[whole + length] - sums[whole]
-    return [int(whole[i]) for i in np.argsort(energy)[::-1][:: max(length // 4, 1)][:EVENTS]]

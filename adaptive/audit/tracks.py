@@ -31,8 +31,6 @@ POINTS = 96  # moments of a trend's track at most
 FEWEST_POINTS = 24  # common moments from which two trends are compared
 STILL = 0.5  # share of moments with a change from which a signal moves
 DIGITS = 4
-
-
 COARSE = 4  # every so many frequencies of the grid one is kept where an oscillation dies away: its peak is broad
 FREQUENCIES_KEPT = 3  # frequencies kept either side of the oscillation's own: two thirds of an octave
 
@@ -76,12 +74,8 @@ def swing_track(t_s: FloatArray, error: FloatArray, period_s: float) -> SwingTra
 def damped_track(t_s: FloatArray, error: FloatArray, period_s: float) -> SwingTrack:
     """The track of an oscillation that dies away after every upset; period_s : roughly. See swing_track."""
     own = round(-OCTAVE / COARSE * math.log2(period_s))
-    return SwingTrack(
-        {
-            COARSE * k: _amplitudes(t_s, error, 2 ** (COARSE * k / OCTAVE))
-            for k in range(own - FREQUENCIES_KEPT, own + FREQUENCIES_KEPT + 1)
-        }
-    )
+    kept = [COARSE * k for k in range(own - FREQUENCIES_KEPT, own + FREQUENCIES_KEPT + 1)]
+    return SwingTrack({k: _amplitudes(t_s, error, 2 ** (k / OCTAVE)) for k in kept})
 
 
 def _amplitudes(t_s: FloatArray, error: FloatArray, f_hz: float) -> tuple[int, np.ndarray]:

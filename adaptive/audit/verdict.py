@@ -25,6 +25,7 @@ import math
 from collections.abc import Sequence
 from enum import StrEnum
 from types import MappingProxyType
+from typing import Self
 
 from retuner.adaptive.audit.loop_screen import LoopScreen
 from retuner.adaptive.choice.foreseen import Foreseen
@@ -49,41 +50,34 @@ SURE_IT_WAITS = 0.7
 
 
 class AuditAction(StrEnum):
-    """What to do about a loop."""
+    """What to do about a loop.
 
-    RETUNE = "retune"
-    STEP = "record a setpoint step, then retune"
-    VALVE = "repair the valve"
-    SCHEDULE = "schedule the gains over pv"
-    UPSTREAM = "look upstream"
-    SIZE = "check actuator size and load"
-    SIGNAL = "check the sensor or the tag"
-    AUTOMATIC = "find out why it is in manual"
-    RECORD = "record a setpoint step"
-    EXPORT = "export its setpoint"
-    SCREENED = "screened only"
-    LOOK = "inspect"
-    NOTHING = "nothing"
+    effort : work of a visit, in units of one retune at the desk; a judgement, to be fixed by the plant.
+    """
+
+    effort: float
+
+    def __new__(cls, words: str, effort: float) -> Self:
+        """A word that knows its effort."""
+        made = str.__new__(cls, words)
+        made._value_, made.effort = words, effort
+        return made
+
+    RETUNE = "retune", 1.0
+    STEP = "record a setpoint step, then retune", 1.75
+    VALVE = "repair the valve", 1.75
+    SCHEDULE = "schedule the gains over pv", 1.5
+    UPSTREAM = "look upstream", 1.5
+    SIZE = "check actuator size and load", 2.25
+    SIGNAL = "check the sensor or the tag", 1.5
+    AUTOMATIC = "find out why it is in manual", 1.0
+    RECORD = "record a setpoint step", 2.0
+    EXPORT = "export its setpoint", 1.0
+    SCREENED = "screened only", 1.0
+    LOOK = "inspect", 2.0
+    NOTHING = "nothing", 10.0
 
 
-EFFORT = MappingProxyType(
-    {
-        AuditAction.RETUNE: 1.0,
-        AuditAction.STEP: 1.75,
-        AuditAction.AUTOMATIC: 1.0,
-        AuditAction.SIGNAL: 1.5,
-        AuditAction.UPSTREAM: 1.5,
-        AuditAction.LOOK: 2.0,
-        AuditAction.VALVE: 1.75,
-        AuditAction.SCHEDULE: 1.5,
-        AuditAction.SIZE: 2.25,
-        AuditAction.RECORD: 2.0,
-        AuditAction.EXPORT: 1.0,
-        AuditAction.SCREENED: 1.0,
-        AuditAction.NOTHING: 10.0,
-    }
-)
-"""Work of a visit, in units of one retune at the desk; a judgement, to be fixed by the plant."""
 FOR_CAUSE = MappingProxyType(
     {
         Cause.AGGRESSIVE: AuditAction.RETUNE,
@@ -164,10 +158,10 @@ def with_foreseen(verdict: LoopVerdict, found: Foreseen | None, *, proposed: boo
     action = verdict.action if proposed else AuditAction.STEP
     saved = None if found is None else found.saved if proposed else found.least
     if saved is None or found is None or not math.isfinite(saved):
-        return replace(verdict, action=action, rank=verdict.rank * EFFORT[verdict.action] / EFFORT[action])
+        return replace(verdict, action=action, rank=verdict.rank * verdict.action.effort / action.effort)
     saved = min(max(saved, 0.0), 1.0)
     benefit = max(saved, CALM * found.calmer if proposed else 0.0, LEAST_BENEFIT)
-    rank = verdict.confidence * benefit / EFFORT[action]
+    rank = verdict.confidence * benefit / action.effort
     return replace(verdict, action=action, avoidable=saved, rank=rank, basis=VerdictBasis.SIMULATED)
 
 
@@ -199,7 +193,7 @@ def loop_verdict(screen: LoopScreen, stretches: Sequence[StretchVerdict]) -> Loo
     if screen.at_limits > 0 and screen.one_sided < TWO_SIDED:
         faults -= {Cause.SATURATION}
     if condition is not None and not faults:
-        reason, n, worth = SENTENCES[screen.condition], len(stretches), 0.9 * 0.5 / EFFORT[condition]
+        reason, n, worth = SENTENCES[screen.condition], len(stretches), 0.9 * 0.5 / condition.effort
         return LoopVerdict(Cause.UNKNOWN, 0.9, condition, reason, 0.0, n, n, 1.0, worth)
     best = max(faults, key=lambda c: joined_confidence(c, stretches), default=None)
     bound = limit_confidence(screen)
@@ -210,7 +204,7 @@ def loop_verdict(screen: LoopScreen, stretches: Sequence[StretchVerdict]) -> Loo
         reason = f"co is at a limit for {w:.0%} of the time, where {loss:.0%} of the error arises, on one side"
         showing = [s for s in stretches if s.cause == Cause.SATURATION]
         since = showing[0].begin_s if showing else None
-        rank, seen, basis = bound * loss / EFFORT[action], len(showing), VerdictBasis.LIMIT
+        rank, seen, basis = bound * loss / action.effort, len(showing), VerdictBasis.LIMIT
         return LoopVerdict(Cause.SATURATION, bound, action, reason, since, seen, len(stretches), loss, rank, basis)
     if best is not None and joined_confidence(best, stretches) >= CONVINCED:
         showing = [s for s in stretches if s.cause == best]
@@ -219,7 +213,7 @@ def loop_verdict(screen: LoopScreen, stretches: Sequence[StretchVerdict]) -> Loo
         clearest = max(showing, key=lambda s: s.confidence)
         often = max(len(showing) / len(stretches), screen.swinging if best not in TUNING_CAUSES else 0)
         avoidable, seen, since = error_share(screen.harris) * often, len(showing), showing[0].begin_s
-        rank = sure * max(avoidable, LEAST_BENEFIT) / EFFORT[action]
+        rank = sure * max(avoidable, LEAST_BENEFIT) / action.effort
         basis = VerdictBasis.HARRIS
         return LoopVerdict(best, sure, action, clearest.reason, since, seen, len(stretches), avoidable, rank, basis)
     if _waits(screen, stretches):
@@ -230,7 +224,7 @@ def loop_verdict(screen: LoopScreen, stretches: Sequence[StretchVerdict]) -> Loo
             "A setpoint step would give the settings"
         )
         sure, avoidable, basis = SURE_IT_WAITS, error_share(screen.harris), VerdictBasis.HARRIS
-        rank = sure * max(avoidable, LEAST_BENEFIT) / EFFORT[action]
+        rank = sure * max(avoidable, LEAST_BENEFIT) / action.effort
         return LoopVerdict(Cause.SLUGGISH, sure, action, reason, None, 0, len(stretches), avoidable, rank, basis)
     # at rest nothing speaks against what the other stretches are suspected of
     calm = [s for s in stretches if s.cause is Cause.OK or (s.cause is Cause.NOISE and not faults)]
@@ -246,7 +240,7 @@ def loop_verdict(screen: LoopScreen, stretches: Sequence[StretchVerdict]) -> Loo
     action = AuditAction.LOOK if swings else told_by_itself if screen.setpoint else AuditAction.EXPORT
     reason = stretches[-1].reason if stretches else _of_screen(screen)
     avoidable = error_share(screen.harris * screen.strength) if swings else 0.0
-    rank, basis = HALF * avoidable / EFFORT[action], VerdictBasis.HARRIS if swings else VerdictBasis.NONE
+    rank, basis = HALF * avoidable / action.effort, VerdictBasis.HARRIS if swings else VerdictBasis.NONE
     return LoopVerdict(Cause.UNKNOWN, HALF, action, reason, None, 0, len(stretches), avoidable, rank, basis)
 
 

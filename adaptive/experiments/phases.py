@@ -67,23 +67,16 @@ class AbortCause(Enum):
     RECORDER = "the ledger cannot be written"
 
 
+P, H = Phase, Happening
 TRANSITIONS: dict[Phase, dict[Happening, Phase]] = {
-    Phase.CONNECTING: {Happening.CONNECTED: Phase.RESTING, Happening.ABORTED: Phase.RESTORED},
-    Phase.RESTING: {Happening.AT_REST: Phase.PREPARING, Happening.ABORTED: Phase.RESTORED},
-    Phase.PREPARING: {Happening.PREPARED: Phase.EXCITING, Happening.ABORTED: Phase.PARKING},
-    Phase.EXCITING: {Happening.FINISHED: Phase.PARKING, Happening.ABORTED: Phase.PARKING},
-    Phase.PARKING: {
-        Happening.PARKED: Phase.RESTORING,
-        Happening.ABORTED: Phase.PARKING,
-        Happening.GIVEN_UP: Phase.STRANDED,
-    },
-    Phase.RESTORING: {
-        Happening.VERIFIED: Phase.RESTORED,
-        Happening.ABORTED: Phase.RESTORING,
-        Happening.GIVEN_UP: Phase.STRANDED,
-    },
-    Phase.RESTORED: {Happening.ABORTED: Phase.RESTORED},
-    Phase.STRANDED: {Happening.ABORTED: Phase.STRANDED},
+    P.CONNECTING: {H.CONNECTED: P.RESTING, H.ABORTED: P.RESTORED},
+    P.RESTING: {H.AT_REST: P.PREPARING, H.ABORTED: P.RESTORED},
+    P.PREPARING: {H.PREPARED: P.EXCITING, H.ABORTED: P.PARKING},
+    P.EXCITING: {H.FINISHED: P.PARKING, H.ABORTED: P.PARKING},
+    P.PARKING: {H.PARKED: P.RESTORING, H.ABORTED: P.PARKING, H.GIVEN_UP: P.STRANDED},
+    P.RESTORING: {H.VERIFIED: P.RESTORED, H.ABORTED: P.RESTORING, H.GIVEN_UP: P.STRANDED},
+    P.RESTORED: {H.ABORTED: P.RESTORED},
+    P.STRANDED: {H.ABORTED: P.STRANDED},
 }
 """Where each happening leads; what is not in the table cannot happen there."""
 

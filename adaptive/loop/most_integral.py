@@ -38,7 +38,15 @@ def most_integral(process: LinearProcess, ms: float) -> PidGains:
         raise ValueError(f"ms = {ms} must be more than 1 and finite; 1.59 is the usual demand")
     if process.integrators:
         raise ValueError("an integrating process has no PI controller of most integral action: give a rule for it")
-    w, tau_i = _grids(process)
+    # frequencies in rad/s, and integral times in seconds
+    times = [process.theta_s, *process.lags_s, *(abs(x) for x in process.leads_s)]
+    times += [math.sqrt(c2) for _, c2 in process.quadratics]
+    whole = sum(times)
+    slow = whole - sum(x for x in process.leads_s if x > 0)  # a lead makes nothing slower
+    shortest = max(min(x for x in times if x > 0), COUNTS * slow)
+    low, high = math.log10(SLOWEST / whole), math.log10(FASTEST / shortest)
+    w = np.logspace(low, high, int(PER_DECADE * (high - low)))
+    tau_i = whole * np.geomspace(SHORTEST, LONGEST, INTEGRAL_TIMES)
     sign = math.copysign(1.0, process.k)
     z = sign * process.response(w) * (1 + 1 / (1j * w * tau_i[:, None]))
     size, least = np.abs(z) ** 2, 1 - 1 / ms**2
@@ -50,15 +58,3 @@ def most_integral(process: LinearProcess, ms: float) -> PidGains:
         raise ValueError("nothing limits the gain of this process: give more dead time")
     best = int(np.flatnonzero(ki >= AS_MUCH * ki.max())[-1])
     return PidGains(float(sign * kc[best]), float(sign * ki[best]))
-
-
-def _grids(process: LinearProcess) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies in rad/s, and integral times in seconds."""
-    times = [process.theta_s, *process.lags_s, *(abs(x) for x in process.leads_s)]
-    times += [math.sqrt(c2) for _, c2 in process.quadratics]
-    whole = sum(times)
-    slow = whole - sum(x for x in process.leads_s if x > 0)  # a lead makes nothing slower
-    shortest = max(min(x for x in times if x > 0), COUNTS * slow)
-    low, high = math.log10(SLOWEST / whole), math.log10(FASTEST / shortest)
-    w = np.logspace(low, high, int(PER_DECADE * (high - low)))
-    return w, whole * np.geomspace(SHORTEST, LONGEST, INTEGRAL_TIMES)

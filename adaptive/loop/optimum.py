@@ -70,7 +70,7 @@ def gain_at_ms(process: LinearProcess, shape: PidGains, ms: float) -> PidGains |
         limit = 1e3 / abs(loop.at(max(loop.corners())))
 
     def robustness(log_gain: float) -> float:
-        return 1 / sensitivity_peak(process, _times(shape, math.exp(log_gain))) - 1 / ms
+        return 1 / sensitivity_peak(process, shape.times(math.exp(log_gain))) - 1 / ms
 
     high = math.log(limit)
     for _ in range(GAIN_STEPS):
@@ -78,13 +78,9 @@ def gain_at_ms(process: LinearProcess, shape: PidGains, ms: float) -> PidGains |
         if robustness(low) >= 0:
             if robustness(high) >= 0:
                 return None  # Ms stays below at any gain that was tried
-            return _times(shape, math.exp(bracketed_root(robustness, low, high, GAIN_ACCURACY)))
+            return shape.times(math.exp(bracketed_root(robustness, low, high, GAIN_ACCURACY)))
         high = low
     return None
-
-
-def _times(shape: PidGains, factor: float) -> PidGains:
-    return PidGains(shape.kp * factor, shape.ki * factor, shape.kd * factor)
 
 
 @lru_cache(maxsize=512)

@@ -38,8 +38,6 @@ NEGLIGIBLE = 1e-9
 """Share of the sum below which a window is not looked at more closely; rounding makes it useless below."""
 MOST_LOOKS = 6000  # windows looked at before the rest is accepted whole: only rounding asks for so many
 AGREES = 0.05  # how far Simpson's rule may miss the change over a window that is accepted whole
-
-
 ERROR, OUTPUT = 0, 1
 Point = tuple[float, float]  # A value and its rate
 
@@ -66,7 +64,10 @@ def variation(
 
     kick : the derivative acts on the setpoint's step. with_output : else TV is left out, as infinite.
     """
-    unit_s = process.theta_s or _slowest(process, gains)
+    # where there is no dead time, a time of the loop is the unit
+    times = [*process.lags_s, *(math.sqrt(c2) for _, c2 in process.quadratics)]
+    times += [gains.kp / gains.ki] if gains.ki else []
+    unit_s = process.theta_s or max(times, default=0.0) or 1.0
     loop = cut_loop(process, gains, tau_f_s, unit_s)
     stepper: Stepper
     if process.theta_s:
@@ -78,13 +79,6 @@ def variation(
     impulse = kick and setpoint and loop.kd
     output = math.inf if impulse or not with_output else _total(stepper, OUTPUT)
     return Variation(_total(stepper, ERROR) * unit_s, output)
-
-
-def _slowest(process: LinearProcess, gains: PidGains) -> float:
-    """A time of the loop, as the unit where there is no dead time."""
-    times = [*process.lags_s, *(math.sqrt(c2) for _, c2 in process.quadratics)]
-    times += [gains.kp / gains.ki] if gains.ki else []
-    return max(times, default=0.0) or 1.0
 
 
 class _DelayStepper:

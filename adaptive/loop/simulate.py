@@ -177,8 +177,12 @@ def delay_steps(loop: CutLoop, fastest: float, setpoint: float, load: float, *, 
         areas.append(x[loop.z] + h * (c.sums @ error))
         outputs.append(np.tensordot(loop.u, states, (0, 1)) + loop.v * v + loop.w * constant)
         x = states[-1]
+    # q to the next q, from the states at the end of the dead time and the output at all its nodes
+    step = np.zeros((size, size))
+    step[:n], step[n : size - 2], step[-1, -1] = x, np.concatenate(outputs), 1.0
+    step[size - 2, size - 2] = loop.impulse
     return DelaySteps(
-        step=_step(loop, x, outputs),
+        step=step,
         error=np.stack(errors),
         area=np.stack(areas),
         output=np.stack([c.fine @ output for output in outputs]),
@@ -200,15 +204,6 @@ def _rate_at_start(loop: CutLoop, h: float, size: int, setpoint: float, load: fl
     moving = loop.a @ x + np.outer(loop.b, v)
     moving[:, -1] += loop.r * setpoint
     return np.asarray(loop.u @ moving + loop.v * slope, dtype=np.float64)
-
-
-def _step(loop: CutLoop, last: FloatArray, outputs: list[FloatArray]) -> FloatArray:
-    """q to the next q, from the states at the end of the dead time and the output at all its nodes."""
-    n, size = last.shape
-    step = np.zeros((size, size))
-    step[:n], step[n : size - 2], step[-1, -1] = last, np.concatenate(outputs), 1.0
-    step[size - 2, size - 2] = loop.impulse
-    return step
 
 
 def _element(loop: CutLoop, x: FloatArray, v: FloatArray, h: float, setpoint: float) -> FloatArray:

@@ -76,13 +76,6 @@ def all_finite(values: FloatArray) -> bool:
     return not len(values) or (math.isfinite(values.min()) and math.isfinite(values.max()))
 
 
-def _first_bad(name: str, values: FloatArray) -> str:
-    bad = int(np.argmin(np.isfinite(values) & (np.abs(values) <= LARGEST)))
-    if not math.isfinite(values[bad]):
-        return f"{name}[{bad}] = {values[bad]} is not a finite number"
-    return f"sample {bad + 1}: {name} = {values[bad]:g} is beyond {LARGEST:g}; give the record in its engineering units"
-
-
 @dataclass(frozen=True, slots=True)
 class Window:
     """Consecutive samples as arrays of shape (n,): what a fit works on.
@@ -110,7 +103,11 @@ class Window:
             if values.shape != (n,):
                 raise ValueError(f"{name} has shape {values.shape}; give {n} values in one row, as many as t_s has")
             if not (values.min() >= -LARGEST and values.max() <= LARGEST):
-                raise ValueError(_first_bad(name, values))
+                bad = int(np.argmin(np.isfinite(values) & (np.abs(values) <= LARGEST)))
+                if not math.isfinite(values[bad]):
+                    raise ValueError(f"{name}[{bad}] = {values[bad]} is not a finite number")
+                beyond = f"{name} = {values[bad]:g} is beyond {LARGEST:g}"
+                raise ValueError(f"sample {bad + 1}: {beyond}; give the record in its engineering units")
         later = self.t_s[1:] > self.t_s[:-1]
         if not later.all():
             i = int(np.argmin(later))
@@ -282,14 +279,9 @@ def stood_still(pv: FloatArray, recorded: int) -> tuple[int, float] | None:
     others = max((n for n in runs if n < STOOD), default=0)
     if longest < max(STOOD, OVER_OTHERS * others):
         return None
-    rest = (before, pv[: stuck.start], pv[stuck.stop :])
-    return (longest, float(pv[first])) if _noisy(rest) else None
-
-
-def _noisy(rest: tuple[FloatArray, ...]) -> bool:
-    """Whether a signal has white noise, seen at its own resolution. rest : pieces of it."""
-    parts = [part for part in rest if len(part) > 2]
+    # whether what else is kept has white noise, seen at its own resolution
+    parts = [part for part in (before, pv[: stuck.start], pv[stuck.stop :]) if len(part) > 2]
     if sum(map(len, parts)) < STOOD:
-        return False
+        return None
     once, twice = (np.concatenate([np.abs(np.diff(part, n)) for part in parts]) for n in (1, 2))
-    return bool(median(twice) > median(once) > 0.0)
+    return (longest, float(pv[first])) if median(twice) > median(once) > 0.0 else None

@@ -45,30 +45,21 @@ class StepSequence(NamedTuple):
 
 def step_sequence(samples: Sequence[LoopSample]) -> StepSequence | None:
     """The steps to and fro with which the newest samples of one set of gains end, None where there are none."""
-    moves = _moves(samples)
+    # moves of the setpoint since the gains last changed, in order
+    moves: list[SetpointMove] = []
+    for at in range(len(samples) - 1, 0, -1):
+        if samples[at - 1].revision != samples[-1].revision:
+            break
+        if samples[at].sp != samples[at - 1].sp:
+            moves.insert(0, SetpointMove(at, samples[at].sp - samples[at - 1].sp))
     for i in range(max(len(moves) - MOST_MOVES, 0), len(moves) - 1):
         found = _taken_for(moves[i:], samples)
         if found is not None:
-            return None if _led_before(moves[: i + 1], found) else found
+            # a setpoint that moved on and on before the first of the steps is led
+            reach = LED_REACH * (found.whole[0] - found.opened)
+            led = i >= LED_MOVES and found.opened - moves[i - LED_MOVES].at <= reach
+            return None if led else found
     return None
-
-
-def _led_before(moves: Sequence[SetpointMove], found: StepSequence) -> bool:
-    """Whether the setpoint moved on and on before the first of the steps, which is the last of these moves."""
-    if len(moves) <= LED_MOVES:
-        return False
-    return found.opened - moves[-1 - LED_MOVES].at <= LED_REACH * (found.whole[0] - found.opened)
-
-
-def _moves(samples: Sequence[LoopSample]) -> list[SetpointMove]:
-    """Moves of the setpoint since the gains last changed, in order."""
-    revision, found = samples[-1].revision, []
-    for i in range(len(samples) - 1, 0, -1):
-        if samples[i - 1].revision != revision:
-            break
-        if samples[i].sp != samples[i - 1].sp:
-            found.append(SetpointMove(i, samples[i].sp - samples[i - 1].sp))
-    return found[::-1]
 
 
 def _taken_for(moves: Sequence[SetpointMove], samples: Sequence[LoopSample]) -> StepSequence | None:

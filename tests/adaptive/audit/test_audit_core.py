@@ -16,7 +16,6 @@ from retuner.adaptive.audit.loop_screen import DAY_S, harris_index, screen_loop
 from retuner.adaptive.audit.over_time import stretches_of_interest
 from retuner.adaptive.audit.record_sums import Measure, RecordSums, counted, covariances, record_sums
 from retuner.adaptive.audit.verdict import (
-    EFFORT,
     AuditAction,
     StretchVerdict,
     VerdictBasis,
@@ -155,7 +154,7 @@ def test_a_loop_that_waits_for_its_process_is_sluggish_where_nothing_says_otherw
     assert (told.cause, told.action) == (Cause.SLUGGISH, AuditAction.RECORD)  # no settings follow from it
     share = error_share(waits.harris)  # of the error, not of its variance
     assert (told.avoidable, told.basis) == (share, VerdictBasis.HARRIS)
-    assert told.rank == pytest.approx(told.confidence * share / EFFORT[told.action])
+    assert told.rank == pytest.approx(told.confidence * share / told.action.effort)
     assert loop_verdict(replace(waits, idle=0.1), noise).cause != Cause.SLUGGISH
     assert loop_verdict(replace(waits, idle=None), noise).cause != Cause.SLUGGISH
     assert loop_verdict(replace(waits, setpoint=False), noise).cause != Cause.SLUGGISH
