@@ -23,7 +23,7 @@ from retuner.adaptive.region_model.region_curves import curves, lenders
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.split_or_merge import features
 from retuner.adaptive.region_model.update import TrackerSettings
-from retuner.adaptive.schedule_choice.boundaries_of_one_variable import CALMER, times
+from retuner.adaptive.schedule_choice.boundaries_of_one_variable import CALMER
 from retuner.adaptive.schedule_design.places import LEAST_STD, OUT, DesignLimits, Place, place_on
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass
@@ -54,7 +54,7 @@ def place_by(x: float, log: LogModel, sample_time_s: float, limits: DesignLimits
 
 def best_of(places: Sequence[Place], limits: DesignLimits) -> Best:
     """The set that keeps the limits at most of these places, of their own sets and calmer ones."""
-    tried = (times(place.own, factor) for place in places for factor in CALMER)
+    tried = (place.own.times(factor) for place in places for factor in CALMER)
     return max(
         (Best(one, sum(_keeps(place, one, limits) for place in places)) for one in tried), key=lambda best: best.kept
     )
@@ -258,7 +258,7 @@ def _with_boundaries(
 def _interpolated(table: GainTable, places: Mapping[int, Sequence[Place]], factor: float, limits: DesignLimits) -> Way:
     """The table with its regions' centres as knots, and the sets of these, a little calmer or not."""
     own = [min(places[i], key=lambda p: abs(p.x - table.regions.centre(i))).own for i in range(len(table.regions))]
-    sets = tuple(times(one, factor) for one in own)
+    sets = tuple(one.times(factor) for one in own)
     other = _table_of(table, table.regions.names, table.regions.bounds, sets, Lookup.INTERPOLATED)
     return other, {i: sum(_keeps(p, other.at(i, p.x), limits) for p in row) for i, row in places.items()}
 

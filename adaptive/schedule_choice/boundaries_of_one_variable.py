@@ -61,7 +61,7 @@ def boundaries_of_fewest_sets(places: Sequence[Place], limits: DesignLimits, mos
         (*_reach(places, i, gains, limits), gains)
         for i, place in enumerate(places)
         if place.known
-        for gains in (times(place.own, factor) for factor in CALMER)
+        for gains in (place.own.times(factor) for factor in CALMER)
     ]
     chosen: list[tuple[int, int, PidGains]] = []
     covered = -1
@@ -92,11 +92,6 @@ def _reach(places: Sequence[Place], at: int, gains: PidGains, limits: DesignLimi
     return first, last
 
 
-def times(gains: PidGains, factor: float) -> PidGains:
-    """All gains times one factor."""
-    return PidGains(gains.kp * factor, gains.ki * factor, gains.kd * factor)
-
-
 KEPT = 6  # ways to one knot that are followed further, those that leave the edges most room
 
 Knot = tuple[int, PidGains]  # A place's index, and its set
@@ -106,7 +101,7 @@ def knots_of_fewest_sets(places: Sequence[Place], limits: DesignLimits, most: in
     """The fewest knots; None when `most` do not suffice."""
     rows: list[list[Knot]] = []  # the known places with their own gains times a factor, where these keep the limits
     for factor in CALMER:
-        own = [(i, times(p.own, factor)) for i, p in enumerate(places) if p.known]
+        own = [(i, p.own.times(factor)) for i, p in enumerate(places) if p.known]
         rows.append([(i, gains) for i, gains in own if places[i].keeps(gains, limits)])
     reached: dict[Knot, list[Knot]] = {}
     ways: list[tuple[Knot, ...]] = [

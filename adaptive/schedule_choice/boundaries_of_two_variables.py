@@ -12,7 +12,7 @@ from itertools import combinations, pairwise, product
 
 import numpy as np
 
-from retuner.adaptive.schedule_choice.boundaries_of_one_variable import CALMER, mean_of, times
+from retuner.adaptive.schedule_choice.boundaries_of_one_variable import CALMER, mean_of
 from retuner.adaptive.schedule_design.places import DesignLimits, Place
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass, field
@@ -80,13 +80,8 @@ class PlaceGrid:
     def edges(self, axis: int) -> list[float]:
         """Values of the places along a variable."""
         if axis:
-            return [self._second(j) for j in range(COUNT)]
-        return [self.places[i * COUNT].x for i in range(COUNT)]
-
-    def _second(self, j: int) -> float:
-        x2 = self.places[j].x2
-        assert x2 is not None
-        return x2
+            return [place.x2 for place in self.places[:COUNT] if place.x2 is not None]
+        return [place.x for place in self.places[::COUNT]]
 
     def near(self, at: int) -> list[int]:
         """The known places, the nearest first."""
@@ -112,7 +107,7 @@ def _knotted(grid: PlaceGrid, most: int) -> Cells | None:
     for (rows, columns), calmer in product(axes, CALMER):
         if not 1 < len(rows) * len(columns) <= most:
             continue
-        sets = tuple(times(grid.places[grid.near(i * COUNT + j)[0]].own, calmer) for i, j in product(rows, columns))
+        sets = tuple(grid.places[grid.near(i * COUNT + j)[0]].own.times(calmer) for i, j in product(rows, columns))
         found = Cells(Lookup.INTERPOLATED, _round(grid.edges(0), rows), _round(grid.edges(1), columns), sets)
         if all(
             grid.keeps(at, found.gains_at(place.x, math.nan if place.x2 is None else place.x2))
@@ -173,7 +168,7 @@ def _one(grid: PlaceGrid, first: int, end: int, first2: int, end2: int) -> PidGa
     )
     for calmer in CALMER:
         for at in (k for k in grid.near(middle) if k in inside):
-            gains = times(grid.places[at].own, calmer)
+            gains = grid.places[at].own.times(calmer)
             if all(grid.keeps(k, gains) for k in corners):
                 return gains
     return None

@@ -118,7 +118,6 @@ def design(
     progress("the fewest sets", (stages - 0.3) / stages)
     # places, sets and the numbers of the lookup. ends : of each variable's places
     curves = chosen.curves
-    dt = median([w.sample_time_s for w in windows])
     places = _places(chosen, ends, dt, limits)
     second = "" if chosen.two is None else chosen.two.name
     none = Design(chosen.one.name, curves, places, None, 0.0, 0.0, tuple(evidence), "", second=second)
@@ -317,25 +316,21 @@ def _affordable(places: Sequence[Place], limits: DesignLimits, lookup: str) -> t
     The limit of Ms is never given up.
     """
     for j in (limits.j, *(j for j in SLOWER if j > limits.j)):
-        layout = _layout(places, replace(limits, j=j), lookup)
-        if layout is not None:
-            return layout, j
+        kept = replace(limits, j=j)
+        if places[0].x2 is not None:
+            layout = cells(places, kept, lookup, MOST_SETS)
+            if layout is not None:
+                return layout, j
+            continue
+        options = [] if lookup == Lookup.INTERPOLATED else [boundaries_of_fewest_sets(places, kept, MOST_SETS)]
+        if lookup != Lookup.HARD:
+            options.append(knots_of_fewest_sets(places, kept, MOST_SETS))
+        able = [one for one in options if one is not None]
+        if able:  # where steps and interpolation need as many sets, those with the smaller J in the mean
+            known = [p for p in places if p.known]
+            cost = [(len(one.sets), float(np.mean([p.judged(one.gains_at(p.x)).j for p in known]))) for one in able]
+            return able[cost.index(min(cost))], j
     return None, limits.j
-
-
-def _layout(places: Sequence[Place], limits: DesignLimits, lookup: str) -> Layout | Cells | None:
-    """The fewest sets; where steps and interpolation need as many, the one with the smaller J in the mean."""
-    if places[0].x2 is not None:
-        return cells(places, limits, lookup, MOST_SETS)
-    options = [] if lookup == Lookup.INTERPOLATED else [boundaries_of_fewest_sets(places, limits, MOST_SETS)]
-    if lookup != Lookup.HARD:
-        options.append(knots_of_fewest_sets(places, limits, MOST_SETS))
-    able = [layout for layout in options if layout is not None]
-    return min(
-        able,
-        key=lambda one: (len(one.sets), float(np.mean([p.judged(one.gains_at(p.x)).j for p in places if p.known]))),
-        default=None,
-    )
 
 
 def _hysteresis(chosen: SchedulingVariable, lookup: Lookup, edges: Sequence[float]) -> float:
@@ -346,9 +341,6 @@ def _hysteresis(chosen: SchedulingVariable, lookup: Lookup, edges: Sequence[floa
     narrowest = min(b - a for a, b in pairwise(edges))
     wanted = max(3 * chosen.noise(), 0.01 * (high - low))
     return min(wanted, 0.4 * narrowest)
-
-
-__all__ = ["Design", "SchedulingVariable", "VariableEvidence", "design"]
 
 
 # ---- How far a schedule may go at once: each set no farther than what was asked of the records where it is in force.

@@ -167,9 +167,7 @@ def stretches_of(
     for i, window in enumerate(windows):
         # samples in an interval: a typical time between setpoint changes has ROWS
         n = len(window.t_s)
-        changes = (
-            int(np.count_nonzero(np.abs(np.diff(window.sp)) > 0.01 * np.ptp(window.sp))) if np.ptp(window.sp) else 0
-        )
+        changes = int(np.count_nonzero(np.abs(np.diff(window.sp)) > 0.01 * np.ptp(window.sp)))
         every = max(1, round(n / (changes + 1) / ROWS)) if changes < n / 20 else max(1, n // 40 // ROWS)
         values = np.stack([c.values[i] for c in (one, two) if c is not None], axis=1)
         for piece, there in without_gaps(window, values):

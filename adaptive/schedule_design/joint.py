@@ -248,22 +248,16 @@ def _at_batch(
             arriving[row:, j] += size
     start = np.repeat(found.starts[:, None], variants.shape[1], axis=1)
     y = response(local, arriving, batch.h_s, start)
-    y += form.drift(batch, local, variants) + _moved_by_push(batch, local, found, outside)
+    drift, ways = form.drift(batch, local, variants), push_ways(batch, local, outside)
+    # what the variables themselves do to pv, with the sizes that are held
+    held = np.stack([size[len(size) - len(ways) :] for size in found.sizes], axis=1)
+    y += drift + sum(way * size[:, None] for way, size in zip(ways, held, strict=True))
     moved = (y[..., 1:] - y[..., :1]) / STEP
     slopes = []
     for j, stretch in enumerate(batch.stretches):
         a = white(moved[: len(stretch), j], noise.ar) / noise.sigma[j]
         slopes.append(-(a - bases[j] @ (bases[j].T @ a)))
     return replace(found, jacobian=np.concatenate(slopes))
-
-
-def _moved_by_push(batch: Batch, local: Local, now: At, outside: Sequence[FloatArray]) -> FloatArray:
-    """What the variables themselves do to pv, with the sizes that are held."""
-    ways = push_ways(batch, local, outside)
-    if not ways:
-        return np.zeros_like(local.b)
-    sizes = np.stack([size[-len(ways) :] for size in now.sizes], axis=1)
-    return np.asarray(sum(way * size[:, None] for way, size in zip(ways, sizes, strict=True)), dtype=np.float64)
 
 
 def white(values: FloatArray, ar: Sequence[float]) -> FloatArray:
@@ -387,12 +381,11 @@ def starts(
     found_any = [node for node in dict.fromkeys(best) if node[0] < math.inf]
     if not found_any:
         raise ValueError("pv goes against co everywhere, where the controller says otherwise: are the columns right?")
-    return [_constant(form, *node[1:]) for node in found_any]
-
-
-def _constant(form: CurveForm, slope: float, theta: float, lag: float) -> CurveForm:
-    centre = (math.log(max(abs(slope), 1e-300)), math.log(theta), math.log(lag))
-    return replace(form, centre=centre, sign=1 if slope >= 0 else -1)
+    made = []
+    for _, slope, theta, lag in found_any:
+        centre = (math.log(max(abs(slope), 1e-300)), math.log(theta), math.log(lag))
+        made.append(replace(form, centre=centre, sign=1 if slope >= 0 else -1))
+    return made
 
 
 def _excitation(stretch: Stretch) -> float:

@@ -94,7 +94,12 @@ def response(local: Local, arriving: FloatArray, h_s: FloatArray, start: FloatAr
     arriving : the input held after each row. start : q at the first row, shape (stretches, variants).
     """
     h = h_s[:, None]
-    s = arriving if local.tau2 is None else _lagged(np.exp(local.tau2[:-1]), arriving, h)
+    s = arriving
+    if local.tau2 is not None:  # means over each interval of a first-order lag of the input, which rests at the start
+        tau2 = np.exp(local.tau2[:-1])
+        decay = np.exp(-h / tau2)
+        v = recursion(decay, (1 - decay) * s, s[0])[:-1]
+        s = np.asarray(s + (v - s) * (tau2 / h * (1 - decay)), dtype=np.float64)
     kick = np.zeros_like(s)
     kick[1:] = np.diff(s, axis=0)
     if local.tau is None:
@@ -148,13 +153,6 @@ def drifted(batch: Batch, local: Local, ln_k: FloatArray) -> FloatArray:
 
 def _between(rows: FloatArray) -> FloatArray:
     return np.asarray((rows[:-1] + rows[1:]) / 2, dtype=np.float64)
-
-
-def _lagged(tau2: FloatArray, held: FloatArray, h: FloatArray) -> FloatArray:
-    """Means over each interval of a first-order lag of the held input, which rests at the start."""
-    decay = np.exp(-h / tau2)
-    v = recursion(decay, (1 - decay) * held, held[0])[:-1]
-    return np.asarray(held + (v - held) * (tau2 / h * (1 - decay)), dtype=np.float64)
 
 
 BLOCK = 32  # rows that are gone through at a time

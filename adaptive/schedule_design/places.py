@@ -93,10 +93,13 @@ class Place:
         """Whether a set meets the limits here; a place that is not known demands nothing."""
         if not self.known:
             return True
+        # where its own settings cannot keep the Ms that is demanded, what they reach
+        limit = max(limits.ms, self.judged(self.own).ms_worst)
         if gains in self._judged:
-            return self.judged(gains).ms_worst <= self._limit(limits) and self.judged(gains).j <= limits.j
-        limit = self._limit(limits)
-        if self._least_j(gains) > limits.j:
+            return self.judged(gains).ms_worst <= limit and self.judged(gains).j <= limits.j
+        # an error that never changes its sign has the integral 1/(k ki), of a load 1/ki: J is that at the least
+        ki = gains.ki
+        if not ki or 0.5 * abs(1 / (self.model.k * ki) / self.iae[0] + 1 / (ki * self.iae[1])) > limits.j:
             return False
         if any(sensitivity_peak(process, gains) > limit for process in self.processes):  # the first is enough
             return False
@@ -107,16 +110,6 @@ class Place:
             setpoint, load = iae(self.model, near, self.sample_time_s) if stable else (math.inf, math.inf)
             self._j[near] = 0.5 * (setpoint / self.iae[0] + load / self.iae[1])
         return self._j[near] <= limits.j
-
-    def _least_j(self, gains: PidGains) -> float:
-        """What J is at the least: an error that never changes its sign has the integral 1/(k ki), of a load 1/ki."""
-        if not gains.ki:
-            return math.inf
-        return 0.5 * abs(1 / (self.model.k * gains.ki) / self.iae[0] + 1 / (gains.ki * self.iae[1]))
-
-    def _limit(self, limits: DesignLimits) -> float:
-        """Limit of Ms here: where its own settings cannot keep what is demanded, what they reach."""
-        return max(limits.ms, self.judged(self.own).ms_worst)
 
 
 ROUNDED = 0.03  # steps of ln of a gain in which J is looked up in a search; a step changes J by about as much
@@ -135,10 +128,8 @@ def iae(model: ProcessModel, gains: PidGains, sample_time_s: float) -> tuple[flo
 
 def place_at(curves: Curves, x: float, sample_time_s: float, limits: DesignLimits, x2: float | None = None) -> Place:
     """The place x (and x2) of some curves."""
-    if x2 is None:
-        ln, covariance = curves.ln(np.array([x]))[0], curves.ln_covariance(x)
-    else:
-        ln, covariance = curves.ln(np.array([x]), np.array([x2]))[0], curves.ln_covariance(x, x2)
+    ln = curves.ln(np.array([x]), None if x2 is None else np.array([x2]))[0]
+    covariance = curves.ln_covariance(x, x2)
     return replace(place_of(x, ln, covariance, curves.form.sign, sample_time_s, limits), x2=x2)
 
 

@@ -115,8 +115,8 @@ def test_the_next_experiment_stays_within_the_limits_of_the_output() -> None:
 def curves(std_theta):
     """k = 1 / s, a dead time of 0.6 s beside a second lag of 27 s, known to this."""
     return SimpleNamespace(
-        ln=lambda _: np.log([[0.0055, 0.6, 88.0, 27.0]]),
-        ln_covariance=lambda _: np.diag([0.05, std_theta, 0.05, 0.08]) ** 2,
+        ln=lambda *_: np.log([[0.0055, 0.6, 88.0, 27.0]]),
+        ln_covariance=lambda *_: np.diag([0.05, std_theta, 0.05, 0.08]) ** 2,
         form=SimpleNamespace(sign=1),
     )
 
@@ -157,8 +157,8 @@ def test_a_process_that_needs_too_many_sets_gets_slower_ones(monkeypatch):
     places = [
         place_at(
             SimpleNamespace(
-                ln=lambda _, b=b: np.array([[b, 0.0, 2.0]]),
-                ln_covariance=lambda _: np.diag([0.02, 0.02, 0.02]) ** 2,
+                ln=lambda *_, b=b: np.array([[b, 0.0, 2.0]]),
+                ln_covariance=lambda *_: np.diag([0.02, 0.02, 0.02]) ** 2,
                 form=SimpleNamespace(sign=1),
             ),
             x,
