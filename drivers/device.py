@@ -177,23 +177,10 @@ class CommandFailed:
 
 
 Event = (
-    LoopSample
-    | WriteDone
-    | WriteFailed
-    | WriteUnknown
-    | LinkChanged
-    | DeviceRestarted
-    | RunningChanged
-    | Reverted
-    | LeaseChanged
-    | ForeignHost
-    | DeviceConflict
-    | DeviceStopped
-    | SamplesLost
-    | VariableChanged
-    | CommandDone
+    LoopSample | WriteDone | WriteFailed | WriteUnknown | LinkChanged | DeviceRestarted | RunningChanged | Reverted
+    | LeaseChanged | ForeignHost | DeviceConflict | DeviceStopped | SamplesLost | VariableChanged | CommandDone
     | CommandFailed
-)
+)  # fmt: skip
 
 
 class Device(Protocol):

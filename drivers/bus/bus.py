@@ -386,8 +386,7 @@ class CanLink(Closes):
             try:
                 self._open()
             except BusError:
-                self.faults.note(LinkFault.OPEN)
-                self._back_off()
+                self._fail(LinkFault.OPEN)
         return self._bus
 
     def _open(self) -> None:
@@ -398,13 +397,9 @@ class CanLink(Closes):
         self._heard = self._full = False
 
     def _fail(self, fault: LinkFault) -> None:
-        """Close the bus and wait with the next attempt."""
+        """Close the bus, and put the next attempt to open it off, twice as long each time, up to the limit."""
         self.faults.note(fault)
         self._shut()
-        self._back_off()
-
-    def _back_off(self) -> None:
-        """Put the next attempt to open off, twice as long each time, up to the limit."""
         self._next_open_s = self._clock.now_s() + self._pause_s
         self._pause_s = min(2 * self._pause_s, self.settings.reopen_max_s)
 

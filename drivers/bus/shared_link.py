@@ -1,17 +1,26 @@
 """One open bus for all the loops on it: frames are read once and handed to the node that they belong to.
 
+    bus -> link -> share -> ports -> poll of each loop
+           |
+           `-> lease of each controller, when a third of it is over (lease_and_commands.py)
+
 A bus per loop would make every loop read every other loop's frames: with n loops n times the work. Up to 63 nodes can
 share a link; each gets a port, which is all that a CanDevice needs of a link. A port reads the link when it is asked,
-unless a thread does it (link_reader.py); both hold the lock while they use the link.
+unless a thread does it; both hold the lock while they use the link. With the thread, whatever keeps the loops busy (a
+disk that is slow to flush, a terminal that does not scroll), no frame has to wait in the system's queue until that is
+full, and the leases of the controllers are prolonged by the clock of the link.
 """
 
 import threading
 from collections import deque
+from collections.abc import Callable
+from types import TracebackType
 
 import can
 
 from retuner.drivers.bus.bus import CanLink, FaultNews
 from retuner.drivers.bus.link_settings import LinkSettings
+from retuner.drivers.clock import Clock
 from retuner.drivers.device import LinkState
 from retuner.drivers.protocol.codec import COMMAND_BITS
 from retuner.drivers.protocol.frames import HIGHEST_NODE
@@ -124,3 +133,60 @@ class LinkPort:
                 return [waiting.popleft() for _ in range(limit)]
             self._waiting = deque()
         return list(waiting)
+
+
+LeaseTimer = Callable[[float], None]  # told the time; sends what keeps a lease, when it is time
+TIMER_PAUSES = 8
+"""Pauses between two looks at the leases: a lease lasts for 30 samples or more, a pause for a quarter of one."""
+END_S = 5.0  # how long the thread may take to end, s of the machine's time
+
+
+class LinkReader:
+    """Reads a shared link as long as its block lasts.
+
+    share : the link's; its ports no longer read themselves. clock : the link's.
+    pause_s : how long frames may gather before they are taken together, s of the clock.
+    came : set whenever frames have come.
+    """
+
+    def __init__(self, share: LinkShare, clock: Clock, pause_s: float, came: threading.Event) -> None:
+        self._share, self._clock, self._pause_s, self._came = share, clock, pause_s, came
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="bus", daemon=True)
+        self._timers_s = float("-inf")
+        self.timers: list[LeaseTimer] = []
+        self.defect: BaseException | None = None
+        """Why the thread has ended by itself; the ports read for themselves again then."""
+
+    def __enter__(self) -> "LinkReader":
+        self._share.read_by_thread = True
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._ending.set()
+        self._thread.join(END_S)
+        self._share.read_by_thread = False
+
+    def _run(self) -> None:
+        try:
+            while not self._ending.is_set():
+                # Wait for frames, or for the time to look after the leases; take all that are there
+                clock, link = self._clock, self._share.link
+                link.wait_until(clock.now_s() + 4 * self._pause_s)
+                with self._share.lock:
+                    frames = self._share.pump()
+                now_s = clock.now_s()
+                if now_s >= self._timers_s:
+                    self._timers_s = now_s + TIMER_PAUSES * self._pause_s
+                    for timer in self.timers:
+                        timer(now_s)
+                if frames:
+                    self._came.set()
+                self._ending.wait(clock.left_s(now_s + self._pause_s))
+        except BaseException as defect:  # noqa: BLE001  told to the session, which ends with it
+            self.defect = defect
+            self._share.read_by_thread = False
+            self._came.set()

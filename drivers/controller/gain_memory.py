@@ -10,6 +10,7 @@ a set that is not confirmed within it gives way to the last confirmed one, under
 import struct
 import zlib
 from collections.abc import Callable
+from contextlib import suppress
 from typing import NamedTuple
 
 from retuner.drivers.protocol import frames as wire
@@ -30,11 +31,6 @@ class Slot(NamedTuple):
     generation: int
     content: GainSet
     crc: int
-
-    @classmethod
-    def of(cls, generation: int, content: GainSet) -> "Slot":
-        """A slot with its CRC."""
-        return cls(generation, content, slot_crc(generation, content))
 
     @property
     def whole(self) -> bool:
@@ -222,7 +218,8 @@ class GainPages:
             return None if same else self._ack(wire.Kind.STORE, frame.seq, wire.Reason.BUSY)
         generations = [slot.generation if slot is not None and slot.whole else 0 for slot in self.slots]
         older = generations.index(min(generations))
-        self._storing = older, Slot.of(max(generations) + 1, self.running)
+        generation = max(generations) + 1
+        self._storing = older, Slot(generation, self.running, slot_crc(generation, self.running))
         self.slots[older] = None  # nobody knows what stands there meanwhile
         done = self._keep()
         return None if done is None else self.stored(done=done)
@@ -247,7 +244,11 @@ class GainPages:
             seq = content.seq
             values = dict(zip(wire.Item, (content.gains.kp, content.gains.ki, content.gains.kd), strict=True))
         complete = len(values) == len(wire.Item)
-        crc = self._crc_of(seq, values, frame.token) if complete else 0
+        crc = 0
+        with suppress(ValueError):  # what PidGains refuses may be staged, but never run: it has CRC 0
+            if complete:
+                gains = PidGains(*(values[item] for item in wire.Item))
+                crc = page_crc(set_crc(self._node, self._epoch, seq, gains), frame.token)
         items = [wire.PageItem(page, item, token, value, seq) for item, value in values.items()]
         return [*items, wire.PageEnd(page, int(complete), token, seq, crc)]
 
@@ -255,14 +256,6 @@ class GainPages:
         whole = [slot for slot in self.slots if slot is not None and slot.whole]
         newest = max(whole, key=lambda slot: slot.generation, default=None)
         return newest.content if newest else self._first
-
-    def _crc_of(self, seq: int, values: dict[wire.Item, float], token: int) -> int:
-        """CRC-32 of a page for a question. What PidGains refuses may be staged, but never run: it has CRC 0."""
-        try:
-            gains = PidGains(values[wire.Item.KP], values[wire.Item.KI], values[wire.Item.KD])
-        except ValueError:
-            return 0
-        return page_crc(set_crc(self._node, self._epoch, seq, gains), token)
 
     def _staged_gains(self) -> PidGains:
         return PidGains(self._staged[wire.Item.KP], self._staged[wire.Item.KI], self._staged[wire.Item.KD])

@@ -1,6 +1,6 @@
 """Counter and checksum of one message: put into what is sent, demanded of what comes."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from functools import reduce
 from operator import xor
 
@@ -11,6 +11,7 @@ from cantools.database.can.signal import Signal
 from retuner.drivers.dbc.dbc_file import bits_of
 from retuner.drivers.profiles.controller_access import ProfileError
 from retuner.drivers.profiles.mapping import Protection
+from retuner.drivers.protocol.checksum import crc
 from retuner.schedule.late_dataclass import dataclass
 
 ID_BYTES = 2
@@ -117,17 +118,7 @@ def data_frame(
 # low byte first, as in AUTOSAR E2E. The check values (over the ASCII digits 1 to 9) are those of Greg Cook's
 # catalogue of parametrised CRC algorithms.
 
-
 BYTE, WORD = 0xFF, 0xFFFF
-
-
-def _crc(data: Iterable[int], bits: int, polynomial: int, start: int, end: int) -> int:
-    top, mask, crc = 1 << (bits - 1), (1 << bits) - 1, start
-    for byte in data:
-        crc ^= byte << (bits - 8)
-        for _ in range(8):
-            crc = ((crc << 1) ^ polynomial if crc & top else crc << 1) & mask
-    return crc ^ end
 
 
 ALGORITHMS: dict[str, Callable[[bytes], int]] = {
@@ -135,10 +126,10 @@ ALGORITHMS: dict[str, Callable[[bytes], int]] = {
     "sum8_inverted": lambda data: ~sum(data) & BYTE,
     "sum8_negated": lambda data: -sum(data) & BYTE,
     "xor8": lambda data: reduce(xor, data, 0),
-    "crc8": lambda data: _crc(data, 8, 0x07, 0x00, 0x00),
-    "crc8_sae_j1850": lambda data: _crc(data, 8, 0x1D, BYTE, BYTE),
-    "crc8_autosar": lambda data: _crc(data, 8, 0x2F, BYTE, BYTE),
-    "crc16_ccitt": lambda data: _crc(data, 16, 0x1021, WORD, 0),
-    "crc16_xmodem": lambda data: _crc(data, 16, 0x1021, 0, 0),
+    "crc8": lambda data: crc(data, 8, 0x07, 0x00, 0x00),
+    "crc8_sae_j1850": lambda data: crc(data, 8, 0x1D, BYTE, BYTE),
+    "crc8_autosar": lambda data: crc(data, 8, 0x2F, BYTE, BYTE),
+    "crc16_ccitt": lambda data: crc(data, 16, 0x1021, WORD, 0),
+    "crc16_xmodem": lambda data: crc(data, 16, 0x1021, 0, 0),
 }
 """Every algorithm by its name."""

@@ -9,7 +9,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib import import_module
 from itertools import chain, pairwise
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -56,13 +55,6 @@ class LoopRecord(display_hook.Drawn):
         return f"LoopRecord({f'{self.tag}, ' * bool(self.tag)}{self.recording.summary}{assumed})"
 
 
-class _Loop(NamedTuple):
-    """Signals of one loop by role, and where it is automatic (stretches of time), where that is known."""
-
-    tag: str
-    trends: Mapping[str, OneSignal]
-
-
 def read_loop_record(sources: Iterable[object], form: RecordForm = WHOLE, *, in_automatic: bool = False) -> LoopRecord:
     """Read one loop.
 
@@ -78,7 +70,7 @@ def read_loop_record(sources: Iterable[object], form: RecordForm = WHOLE, *, in_
     if not tables:
         raise RecordingError(EMPTY.format(_listed(str(one) for one in asked if isinstance(one, str | Path))))
     read = [signals_of(table, own, in_automatic=in_automatic) for table, own in _forms(tables, form)]
-    return _record(_chosen(_together(read), form, tables), read, form)
+    return _record(*_chosen(_together(read), form, tables), read, form)
 
 
 def read_records(sources: Iterable[object], form: RecordForm = WHOLE) -> list[LoopRecord]:
@@ -94,7 +86,7 @@ def read_records(sources: Iterable[object], form: RecordForm = WHOLE) -> list[Lo
         tables, read = [list(chain(*tables))], [list(chain(*read))]
     if not all(tables):
         raise RecordingError(EMPTY.format(_listed(str(one) for one in asked if isinstance(one, str | Path))))
-    found = [_record(_chosen(_together(each), form, its), each, form) for its, each in zip(tables, read, strict=True)]
+    found = [_record(*_chosen(_together(each), form, its), each, form) for its, each in zip(tables, read, strict=True)]
     tags = {record.tag for record in found}
     if len(tags) > 1:
         raise RecordingError(
@@ -159,18 +151,18 @@ def _loops(read: Sequence[TableSignals], form: RecordForm) -> dict[str, LoopReco
     for tag, roles in _pieces(read).items():
         if {"pv", "co"} <= roles.keys() and tag not in found:
             try:
-                found[tag] = _record(_Loop(tag, _joined_pieces(roles, read[0].source)), read, form)
+                found[tag] = _record(tag, _joined_pieces(roles, read[0].source), read, form)
             except RecordingError as error:
                 found[tag] = error
     return found
 
 
-def _record(loop: _Loop, read: Sequence[TableSignals], form: RecordForm) -> LoopRecord:
-    for role, trend in loop.trends.items():
+def _record(tag: str, trends: Mapping[str, OneSignal], read: Sequence[TableSignals], form: RecordForm) -> LoopRecord:
+    for role, trend in trends.items():
         if not len(trend.t_s):
             raise RecordingError(f"{read[0].source}: {role} has no value that is known; name another column")
-    t_s, values, told = joined(loop.trends["pv"], {r: s for r, s in loop.trends.items() if r != "pv"})
-    said = [*(a for one in read for a in (*one.assumed, *one.of_loop.get(loop.tag, ()))), *told]
+    t_s, values, told = joined(trends["pv"], {r: s for r, s in trends.items() if r != "pv"})
+    said = [*(a for one in read for a in (*one.assumed, *one.of_loop.get(tag, ()))), *told]
     source = read[0].source if len(read) == 1 else f"{read[0].source} and {len(read) - 1} more"
     for name in form.others:
         if name not in values:
@@ -185,7 +177,7 @@ def _record(loop: _Loop, read: Sequence[TableSignals], form: RecordForm) -> Loop
     recording = Recording(source, t_s - (begin_s or 0.0), values["pv"], values["co"], values.get("sp"))
     recording, more = scaled(recording, form.scale)
     others = {name: values[name] for name in form.others}
-    return LoopRecord(recording, (*dict.fromkeys(said), *more), loop.tag, begin_s, others)
+    return LoopRecord(recording, (*dict.fromkeys(said), *more), tag, begin_s, others)
 
 
 def _tables(source: object, form: RecordForm, tags: Sequence[str] = ()) -> list[RawTable]:
@@ -297,17 +289,19 @@ def _joined_pieces(roles: Pieces, source: str) -> dict[str, OneSignal]:
     return found
 
 
-def _chosen(loops: Mapping[str, Mapping[str, OneSignal]], form: RecordForm, tables: Sequence[RawTable]) -> _Loop:
+def _chosen(
+    loops: Mapping[str, Mapping[str, OneSignal]], form: RecordForm, tables: Sequence[RawTable]
+) -> tuple[str, Mapping[str, OneSignal]]:
+    """The loop that is meant: its tag, and its signals by role."""
     source = tables[0].source
     whole = {tag: trends for tag, trends in loops.items() if {"pv", "co"} <= trends.keys()}
     if form.tag:
         fitting = [tag for tag in whole if tag.lower() == form.tag.lower()]
         if not fitting:
             raise RecordingError(f"{source}: no loop {quoted(form.tag)} with pv and co; there is {_listed(whole)}")
-        return _Loop(fitting[0], whole[fitting[0]])
+        return fitting[0], whole[fitting[0]]
     if len(whole) == 1:
-        tag, trends = next(iter(whole.items()))
-        return _Loop(tag, trends)
+        return next(iter(whole.items()))
     if whole:
         raise RecordingError(f"{source}: {len(whole)} loops in it; name one with --tag: {_listed(whole)}")
     missing = "co" if "pv" in {role for trends in loops.values() for role in trends} else "pv"

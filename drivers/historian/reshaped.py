@@ -10,7 +10,6 @@ its name stands over its value or over its time.
 """
 
 import csv
-from collections.abc import Sequence
 from dataclasses import replace
 from itertools import groupby
 
@@ -59,7 +58,11 @@ def _values(source: str, block: Lines) -> list[tuple[str, str, str, str]]:
     if "_time" not in head:
         raise RecordingError(f"{source}:{number}: a table without _time; export it with its times")
     time = head.index("_time")
-    fields = [head.index("_value")] if "_value" in head else _own_fields(head, block)
+    fields = [head.index("_value")] if "_value" in head else []
+    if not fields:  # of a table that was pivoted: all that are no part of the group key
+        group = next((row for _, row in block if row[0] == "#group"), ["false"] * len(head))
+        own = [name not in INFLUX_OWN and name[:1] != "_" for name in head]
+        fields = [i for i, wanted in enumerate(own) if wanted and group[i] != "true"]
     keys = [i for i, name in enumerate(head) if name not in INFLUX_OWN and i not in fields]
     found = []
     for place, row in plain[1:]:
@@ -70,12 +73,6 @@ def _values(source: str, block: Lines) -> list[tuple[str, str, str, str]]:
             field = row[head.index("_field")] if head[i] == "_value" and "_field" in head else head[i]
             found.append((row[time], row[i], f"{series}\0{field}", f":{place}"))
     return found
-
-
-def _own_fields(head: Sequence[str], block: Lines) -> list[int]:
-    """The columns of values of a table that was pivoted: all that are no part of the group key."""
-    group = next((fields for _, fields in block if fields[0] == "#group"), ["false"] * len(head))
-    return [i for i, name in enumerate(head) if name not in INFLUX_OWN and name[:1] != "_" and group[i] != "true"]
 
 
 def unpaired(table: RawTable) -> RawTable:

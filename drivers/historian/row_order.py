@@ -44,7 +44,11 @@ def in_order(t_s: FloatArray, source: str) -> tuple[np.ndarray, FloatArray, list
     if np.all(steps > 0):
         return places, t_s[places], told
     back = np.flatnonzero(steps < 0)
-    displaced = _displaced(t_s[places]) if len(back) else 0
+    displaced = 0
+    if len(back):  # a step back may be a late row; it is a second record where many rows after it are early
+        t = t_s[places]
+        late, early = t < np.maximum.accumulate(t), t > np.minimum.accumulate(t[::-1])[::-1]
+        displaced = int(min(np.sum(late), np.sum(early)))
     if displaced > FEW_OUT_OF_ORDER * len(places):
         i = places[back[0] + 1]
         raise RecordingError(
@@ -56,14 +60,6 @@ def in_order(t_s: FloatArray, source: str) -> tuple[np.ndarray, FloatArray, list
         told.append(Assumption(f"{displaced} rows out of order: put in place"))
     places, stamps, more = _distinct(places, t_s[places])
     return places, stamps, told + more
-
-
-def _displaced(t_s: FloatArray) -> int:
-    """Rows that stand in a wrong place: those before the latest until then, or those after the earliest from then on.
-
-    One step back may be a late row; it is a second record where many rows after it are early.
-    """
-    return int(min(np.sum(t_s < np.maximum.accumulate(t_s)), np.sum(t_s > np.minimum.accumulate(t_s[::-1])[::-1])))
 
 
 def _distinct(places: np.ndarray, stamps: FloatArray) -> tuple[np.ndarray, FloatArray, list[Assumption]]:

@@ -49,12 +49,54 @@ from retuner.drivers.profiles.controller_access import (
     Stopped,
     Told,
 )
-from retuner.drivers.profiles.foreign_settings import ForeignSettings
 from retuner.drivers.profiles.gain_course import GainCourse
-from retuner.drivers.recorded.sample_note import note_of
+from retuner.drivers.recorded.sample_note import NOTES, note_of
 from retuner.drivers.telemetry.signal_source import ScheduleInputs, SignalTap
 from retuner.schedule.gains import PidGains
+from retuner.schedule.late_dataclass import dataclass
 from retuner.schedule.regions import CAN
+
+TIMES = ("sample_time_s", "reply_s", "silent_s", "connect_s", "feed_s", "look_s")
+
+
+@dataclass(frozen=True, slots=True)
+class ForeignSettings:
+    """What the host knows of a foreign controller beside its numbers: its pace, its ranges, its patience.
+
+    gains : set that it is believed to run where it cannot be asked.
+    where : the device in words. sample_time_s : time between samples, s. variable : as CanDeviceSettings.
+    co_min, co_max : range of the output, percent. sp_start : setpoint until one was sent, where it reports none.
+    reply_s : longest wait for an answer. silent_s : age of the last frame at which it counts as silent. connect_s :
+    longest wait for the first connection. feed_s : the setpoint is sent again after so long, which feeds a watchdog.
+    look_s : its gains are read again after so long. closed : why gains are never written, "" when they are.
+    bench_node : number of a virtual one, which takes loads; None for a real one. after_s : as CanDevice.
+    note_id : identifier under which its samples are noted in the log (sample_note.py).
+
+    Raises ValueError: a time is not a positive finite number.
+    """
+
+    gains: PidGains
+    where: str = "device"
+    sample_time_s: float = 1.0
+    variable: str | ScheduleInputs = "sp"
+    co_min: float = 0.0
+    co_max: float = 100.0
+    sp_start: float = 0.0
+    reply_s: float = 0.5
+    silent_s: float = 6.0
+    connect_s: float = 20.0
+    feed_s: float = 1e9
+    look_s: float = 60.0
+    closed: str = ""
+    bench_node: int | None = None
+    after_s: float | None = None
+    note_id: int = NOTES
+
+    def __post_init__(self) -> None:
+        for name in TIMES:
+            if not 0 < getattr(self, name) < float("inf"):
+                raise ValueError(f"device: {name} = {getattr(self, name)}; give a positive number of seconds")
+
 
 # ---- At which sample a value belongs, for devices that send no sample counter
 
@@ -139,12 +181,6 @@ def any_way(old: Numbers, new: Numbers, back: bool) -> tuple[int, ...]:
     raise WriteRefusedError("the set takes several messages, and the sets in between are not proved")
 
 
-def anything(gains: PidGains) -> bool:
-    """Whatever the controller runs at first is as it should be."""
-    del gains
-    return True
-
-
 class Value(NamedTuple):
     """A number, and when it came."""
 
@@ -161,7 +197,7 @@ class ForeignDevice:
     def __init__(self, link: FramePort, access: Access, settings: ForeignSettings) -> None:
         self.link, self.settings = link, settings
         self.choose_way: ChooseWay = any_way
-        self.fits: Callable[[PidGains], bool] = anything
+        self.fits: Callable[[PidGains], bool] = lambda _: True  # whatever runs at first is as it should be
         self.running: RunningSet | None = None
         self._access = access
         self._grid = SampleGrid(settings.sample_time_s, asked="pv" in access.on_request, after_s=settings.after_s)

@@ -114,17 +114,15 @@ class DeviceMapping:
 
     def named(self) -> Iterator[MappedPlace]:
         """Every signal or object that it names, with what it is."""
-        yield MappedPlace("pv", "pv", ("pv",), self.pv)
-        yield MappedPlace("co", "co", ("co",), self.co)
-        if self.sp is not None:
-            yield MappedPlace("sp", "setpoint", ("sp",), self.sp)
-        if self.setpoint is not None:
-            yield MappedPlace("setpoint", "setpoint", ("setpoint",), self.setpoint)
+        signals = (("pv", "pv", self.pv), ("co", "co", self.co), ("sp", "setpoint", self.sp))
+        for role, what, at in (*signals, ("setpoint", "setpoint", self.setpoint)):
+            if at is not None:
+                yield MappedPlace(role, what, (role,), at)
         for gain in self.gains:
-            role, key = f"gains.{gain.quantity}", ("gains", str(gain.quantity))
-            yield MappedPlace(role, role, key, gain.at)
-            if gain.read is not None:
-                yield MappedPlace(role, role, key, gain.read)
+            role = f"gains.{gain.quantity}"
+            for at in (gain.at, gain.read):
+                if at is not None:
+                    yield MappedPlace(role, role, ("gains", str(gain.quantity)), at)
         if self.mode is not None:
             yield MappedPlace("mode", "state", ("mode",), self.mode.at)
         for i, states in enumerate(self.stops):

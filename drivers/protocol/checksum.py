@@ -11,6 +11,7 @@ samples or two nodes never make one. The same CRC-16 stamps a request for the le
 import binascii
 import struct
 import zlib
+from collections.abc import Iterable
 
 from retuner.drivers.protocol.frames import TelemetryPv, TelemetrySp
 from retuner.schedule.gains import PidGains
@@ -23,26 +24,25 @@ _STAMP = struct.Struct("<HI")
 STAMP_SAMPLES = 64  # controller samples that share a stamp
 
 
-def _table() -> bytes:
-    values = []
-    for byte in range(256):
-        crc = byte
+def crc(data: Iterable[int], bits: int, polynomial: int, start: int, end: int) -> int:
+    """A CRC of 8 bits or more. start : what the register holds at first. end : final exclusive-or."""
+    top, mask, found = 1 << (bits - 1), (1 << bits) - 1, start
+    for byte in data:
+        found ^= byte << (bits - 8)
         for _ in range(8):
-            crc = (crc << 1) ^ POLYNOMIAL if crc & 0x80 else crc << 1
-            crc &= 0xFF
-        values.append(crc)
-    return bytes(values)
+            found = ((found << 1) ^ polynomial if found & top else found << 1) & mask
+    return found ^ end
 
 
-_TABLE = _table()
+_TABLE = bytes(crc((byte,), 8, POLYNOMIAL, 0, 0) for byte in range(256))
 
 
 def crc8(data: bytes | bytearray) -> int:
     """CRC-8 SAE J1850 of data (0x4B for b'123456789')."""
-    crc = 0xFF
+    found = 0xFF
     for byte in data:
-        crc = _TABLE[crc ^ byte]
-    return crc ^ 0xFF
+        found = _TABLE[found ^ byte]
+    return found ^ 0xFF
 
 
 def frame_crc(arbitration_id: int, payload: bytes | bytearray) -> int:

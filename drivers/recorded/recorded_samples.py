@@ -107,35 +107,25 @@ def _samples(
         )
     inputs = ScheduleInputs.of(facts.variable)
     own = {"sp": sp, "pv": pv, "co": co, "": np.zeros(len(t))}
-    x, x2 = (
-        _scheduled(path, table, name, own.get(variable))
-        for name, variable in (("x", inputs.variable), ("x2", inputs.variable2))
-    )
+    scheduled = []  # a scheduling variable: its column, else what the loop's own signals say of it
+    for name, variable in (("x", inputs.variable), ("x2", inputs.variable2)):
+        values = table.get(name, own.get(variable))
+        if values is None:
+            raise RecordingError(
+                f'{path}: no column "{name}": the scheduling variable is a signal on the bus, which sp, '
+                "pv and co do not tell; add the column"
+            )
+        scheduled.append(values)
     mode = table.get("mode", np.full(len(t), float(LoopMode.AUTO)))
     limited = table.get("limited", np.where(co >= facts.co_max, 1.0, np.where(co <= facts.co_min, -1.0, 0.0)))
     known = all(name in table for name in GAINS)
-    rows = np.column_stack((t, sp, pv, co, mode, limited, x, x2)).tolist()
+    rows = np.column_stack((t, sp, pv, co, mode, limited, *scheduled)).tolist()
     for i, (t_s, sp_i, pv_i, co_i, mode_i, limited_i, x_i, x2_i) in enumerate(rows):
-        gains = _gains(path, i, *(float(table[name][i]) for name in GAINS)) if known else None
+        try:
+            gains = PidGains(*(float(table[name][i]) for name in GAINS)) if known else None
+        except ValueError as error:
+            raise RecordingError(f"{path}: sample {i + 1}: {error}") from error
         yield Recorded(LoopSample(t_s, sp_i, pv_i, co_i, int(mode_i), int(limited_i), x_i, 0, x2_i), gains)
-
-
-def _scheduled(path: str, table: Mapping[str, FloatArray], name: str, own: FloatArray | None) -> FloatArray:
-    """A scheduling variable: its column, else what the loop's own signals say of it."""
-    found = table.get(name, own)
-    if found is None:
-        raise RecordingError(
-            f'{path}: no column "{name}": the scheduling variable is a signal on the bus, which sp, '
-            "pv and co do not tell; add the column"
-        )
-    return found
-
-
-def _gains(path: str, i: int, kp: float, ki: float, kd: float) -> PidGains:
-    try:
-        return PidGains(kp, ki, kd)
-    except ValueError as error:
-        raise RecordingError(f"{path}: sample {i + 1}: {error}") from error
 
 
 def frame_samples(path: Path, facts: LoopFacts) -> Iterator[Recorded]:

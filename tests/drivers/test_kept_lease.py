@@ -12,8 +12,7 @@ from retuner import LinearProcess, LoopSample, PidGains
 from retuner.config.loading import parse_session
 from retuner.drivers.bus import shared_link as link_share
 from retuner.drivers.bus.bus import CanLink, LinkSettings
-from retuner.drivers.bus.link_reader import LinkReader
-from retuner.drivers.bus.shared_link import LinkShare
+from retuner.drivers.bus.shared_link import LinkReader, LinkShare
 from retuner.drivers.clock import MonotonicClock, SimulatedClock
 from retuner.drivers.controller.device_process import DeviceOnBus
 from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings

@@ -14,8 +14,7 @@ from retuner.drivers.plants.plant import Plant
 from retuner.drivers.plants.shared_plant import PlantPort
 from retuner.drivers.profiles.bench_loop import BenchLoop
 from retuner.drivers.profiles.controller_access import Access, ProfileError
-from retuner.drivers.profiles.foreign_device import ForeignDevice
-from retuner.drivers.profiles.foreign_settings import ForeignSettings
+from retuner.drivers.profiles.foreign_device import ForeignDevice, ForeignSettings
 from retuner.drivers.profiles.mapping import DeviceMapping
 from retuner.drivers.profiles.ready import described_by
 from retuner.drivers.recorded.sample_note import note_id

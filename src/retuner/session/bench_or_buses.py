@@ -21,9 +21,8 @@ import can
 from retuner.config import Config
 from retuner.config.session_config import SessionConfig
 from retuner.drivers.bus.bus import CanLink, FaultNews, LinkSettings
-from retuner.drivers.bus.link_reader import LinkReader
 from retuner.drivers.bus.link_settings import FramePort
-from retuner.drivers.bus.shared_link import LinkPort, LinkShare
+from retuner.drivers.bus.shared_link import LinkPort, LinkReader, LinkShare
 from retuner.drivers.clock import Clock, MonotonicClock, SimulatedClock
 from retuner.drivers.controller.device_process import DeviceOnBus
 from retuner.drivers.device import Bench, Device
@@ -208,7 +207,7 @@ LONGEST_PAUSE_S = 0.005  # longest time for which frames gather before they are 
 
 
 class LiveBuses(HostBuses):
-    """Buses in real time, each read by a thread of its own (link_reader.py).
+    """Buses in real time, each read by a thread of its own (shared_link.py).
 
     buses : with their readers. clock : theirs. came : set by the readers when frames have come.
     """
