@@ -3,7 +3,7 @@
 import json
 
 from retuner.schedule.gains import to_ideal
-from retuner.schedule.regions import CAN, Axis
+from retuner.schedule.regions import CAN
 from retuner.schedule.table import GainTable, Lookup
 
 
@@ -17,8 +17,16 @@ def schedule_section(table: GainTable, loop: str = "") -> str:
     lines = ["[schedule]"]
     if table.lookup is Lookup.INTERPOLATED:
         lines.append('lookup = "interpolated"')
-    for axis in axes:
-        lines += _axis_lines(axis, simple=simple)
+    for axis in axes:  # a simple one in [schedule] itself
+        lines += [] if simple else ["", "[[schedule.axis]]"]
+        lines.append(f'variable = "{axis.variable}"')
+        lines += [] if simple else [f"range = [{axis.low!r}, {axis.high!r}]"]
+        if axis.variable == CAN:
+            unit, signal = json.dumps(axis.unit or "-"), json.dumps(axis.signal)  # quoted as TOML has it
+            lines += [f"unit = {unit}", 'message = "FILL_IN"', f"signal = {signal}"]
+        lines += [f"bounds = [{', '.join(map(repr, axis.bounds))}]"] if axis.bounds else []
+        for key in ("hysteresis", "min_stay_s", "filter_s"):
+            lines += [f"{key} = {getattr(axis, key)!r}"] if getattr(axis, key) else []
     for i, (region, gains) in enumerate(zip(table.regions.names, table.gains, strict=True)):
         cell = [] if len(axes) == 1 else [f"cell = [{', '.join(str(place + 1) for place in table.regions.cell(i))}]"]
         ideal = to_ideal(gains)
@@ -31,22 +39,6 @@ def schedule_section(table: GainTable, loop: str = "") -> str:
         return text
     below = text.replace("\n[[schedule.", "\n[[loop.schedule.").replace("[schedule]", "[loop.schedule]", 1)
     return f"# Of the loop {json.dumps(loop)}: to stand below its [[loop]], before the next one.\n{below}"
-
-
-def _axis_lines(axis: Axis, *, simple: bool) -> list[str]:
-    """The keys of one axis. simple : in [schedule] itself."""
-    lines = [] if simple else ["", "[[schedule.axis]]"]
-    lines.append(f'variable = "{axis.variable}"')
-    if not simple:
-        lines.append(f"range = [{axis.low!r}, {axis.high!r}]")
-    if axis.variable == CAN:
-        unit, signal = json.dumps(axis.unit or "-"), json.dumps(axis.signal)  # quoted as TOML has it
-        lines += [f"unit = {unit}", 'message = "FILL_IN"', f"signal = {signal}"]
-    if axis.bounds:
-        lines.append(f"bounds = [{', '.join(map(repr, axis.bounds))}]")
-    for key, value in (("hysteresis", axis.hysteresis), ("min_stay_s", axis.min_stay_s), ("filter_s", axis.filter_s)):
-        lines += [f"{key} = {value!r}"] if value else []
-    return lines
 
 
 def _digits(value: float) -> float:

@@ -65,7 +65,8 @@ def follows_loop(windows: Sequence[Window], values: Sequence[FloatArray]) -> boo
     A filtered pv, a temperature beside the one that is controlled, a valve's position. Taken for a variable from
     outside, its push would explain what the process does.
     """
-    varied = max(float(np.var(np.concatenate(list(values)))), 1e-300)
+    y = np.concatenate(list(values))
+    varied = max(float(np.var(y)), 1e-300)
     dt = median([w.sample_time_s for w in windows])
     longest = max(0.1 * float(windows[0].t_s[-1] - windows[0].t_s[0]), 2 * dt)
     for lag in (0.0, *np.geomspace(dt, longest, LAGS).tolist()):
@@ -74,15 +75,12 @@ def follows_loop(windows: Sequence[Window], values: Sequence[FloatArray]) -> boo
             # each behind a first-order lag, at rest at first
             late = [recursion(np.full(len(x) - 1, decay), (1 - decay) * x[1:], x[0]) for x in signals]
             behind = np.concatenate(late)
-            if float(np.ptp(behind)) and _left(behind, np.concatenate(list(values))) < (1 - FOLLOWS) * varied:
-                return True
+            if float(np.ptp(behind)):
+                x = behind - float(np.mean(behind))
+                slope, level = np.polyfit(x, y, 1)  # variance round a straight line
+                if float(np.var(y - level - slope * x)) < (1 - FOLLOWS) * varied:
+                    return True
     return False
-
-
-def _left(x: FloatArray, y: FloatArray) -> float:
-    """Variance of y round a straight line in x."""
-    slope, level = np.polyfit(x - float(np.mean(x)), y, 1)
-    return float(np.var(y - level - slope * (x - float(np.mean(x)))))
 
 
 def axis_of(candidate: SchedulingVariable, span: tuple[float | None, float | None]) -> CurveAxis:
@@ -238,7 +236,14 @@ def crossings(
     low, high = known[0].x, known[-1].x
     share = min(max(largest / (high - low), LEAST_SHARE), MOST_SHARE)
     process = _ProcessAlong.of(curves, known, x2)
-    own = _own(known)
+    xs = [place.x for place in known]
+
+    def own(x: float) -> PidGains:
+        """Every place's own gains, a straight line between neighbours."""
+        i = int(np.clip(np.searchsorted(xs, x) - 1, 0, len(xs) - 2))
+        between = min(max((x - xs[i]) / (xs[i + 1] - xs[i]), 0.0), 1.0)
+        return mean_of(known[i].own, known[i + 1].own, between)
+
     found = []
     size = share * (high - low)
     for up in (True, False):
@@ -254,18 +259,6 @@ def crossings(
             ]
             found.append(min(each, key=lambda one: (one.proper, -one.iae_ratio)))
     return found
-
-
-def _own(places: Sequence[Place]) -> Callable[[float], PidGains]:
-    """Every place's own gains, a straight line between neighbours."""
-    xs = [place.x for place in places]
-
-    def at(x: float) -> PidGains:
-        i = int(np.clip(np.searchsorted(xs, x) - 1, 0, len(xs) - 2))
-        share = min(max((x - xs[i]) / (xs[i + 1] - xs[i]), 0.0), 1.0)
-        return mean_of(places[i].own, places[i + 1].own, share)
-
-    return at
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,7 @@
 What no PDO carries is read by SDO, sample by sample. A boot-up, a stop by NMT and an emergency are the node's own word.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import can
@@ -34,6 +34,7 @@ NMT, HEARTBEAT, EMERGENCY = 0x000, 0x700, 0x080
 START = 0x01
 BOOTED, STOPPED, OPERATIONAL, PRE_OPERATIONAL = 0, 4, 5, 127
 WRITTEN = "write "
+ALWAYS, WHOLE = frozenset[int](), frozenset({0})  # an object is on no page, and one place
 
 
 class NodeSettings(NamedTuple):
@@ -95,7 +96,14 @@ class CanOpenAccess:
         self.units = units_of(mapping, gains)
         self.reads_back = bool(mapping.gains)
         self.takes_setpoint = mapping.setpoint is not None
-        require_distinct(self._uses(mapping), file.source)
+        # each object is a place of its own
+        named = [
+            (role, what, key, self._place(at, key, read=False).variable) for role, what, key, at in mapping.named()
+        ]
+        require_distinct(
+            (Use(role, what, (v.index, v.subindex), ALWAYS, WHOLE, text_of(v), key) for role, what, key, v in named),
+            file.source,
+        )
         # what each PDO that the device sends carries of this
         self._pdos: dict[int, list[tuple[str, PdoEntry]]] = {}
         places = {name: place.variable for name, place in self._read.items() if name not in self.units.names}
@@ -111,13 +119,6 @@ class CanOpenAccess:
         carried = {name for entries in self._pdos.values() for name, _ in entries}
         self.on_request = frozenset(name for name in self._read if name not in carried) - set(self.units.names)
         self.telemetry = frozenset({"pv", "co", "sp", "mode"} & self._read.keys())
-
-    def _uses(self, mapping: DeviceMapping) -> Iterator[Use]:
-        """Where everything of the mapping lies; each object is a place of its own."""
-        for role, what, key, at in mapping.named():
-            variable = self._place(at, key, read=False).variable
-            place = (variable.index, variable.subindex)
-            yield Use(role, what, place, frozenset(), frozenset({0}), text_of(variable), key)
 
     def _place(self, at: object, key: Key, *, written: bool = False, read: bool = True) -> _ObjectPlace:
         assert isinstance(at, ObjectOf)

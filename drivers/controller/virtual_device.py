@@ -20,7 +20,6 @@ from retuner.drivers.protocol.authentication import CodeDesk, fresh_nonce
 from retuner.drivers.protocol.checksum import CO_STEP, STAMP_SAMPLES, co_steps, lease_stamp, sample_crc
 from retuner.drivers.protocol.codec import Codec, Refusal, Refused, schema
 from retuner.drivers.telemetry.signal_source import plant_message
-from retuner.schedule.gains import PidGains
 from retuner.schedule.pid import LIMITED, PV, StateTuple, change, start, step, track
 
 # The device's side of the lease: which one host may command, and until when, counted in controller samples.
@@ -262,7 +261,8 @@ class VirtualDevice:
                     return pages.stage(frame)
                 return wire.Ack(wire.Kind.STAGE, frame.seq, wire.Reason.NOT_OWNER, pages.latest, frame.item)
             case wire.Commit():  # its CRC covers the owner
-                return pages.commit(frame, lease.owner, self._code_of)
+                who = self.settings.node, self.epoch, lease.owner
+                return pages.commit(frame, lease.owner, lambda f, gains: self.code.judge(*who, f.seq, f.base, gains))
             case wire.Auth():
                 self.code.take(frame)
                 return None
@@ -274,9 +274,6 @@ class VirtualDevice:
                 if lease.allows(frame.owner, wire.STORE_TAG):
                     return pages.store(frame)
                 return wire.Ack(wire.Kind.STORE, frame.seq, wire.Reason.NOT_OWNER, pages.latest)
-
-    def _code_of(self, frame: wire.Commit, gains: PidGains) -> wire.Reason:
-        return self.code.judge(self.settings.node, self.epoch, self.lease.owner, frame.seq, frame.base, gains)
 
     def _command(self, frame: wire.Setpoint | wire.Mode | wire.Load) -> wire.Ack:
         """Act once on a newer frame, answer a repeated one again, refuse an older one."""

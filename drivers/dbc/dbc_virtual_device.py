@@ -97,7 +97,11 @@ class VirtualDbcDevice:
         if "setpoint" in found:
             self.loop.sp = found.pop("setpoint")
         if found:
-            self._take_gains(found)
+            try:
+                self.loop.take_gains(self.units.of({**self.numbers, **found}))
+                self.numbers.update(found)
+            except ValueError:
+                self.refused += 1
         return []
 
     def _frame(self, slot: Slot) -> can.Message:
@@ -116,12 +120,3 @@ class VirtualDbcDevice:
             return None
         value = values.get(place.signal.name) if isinstance(values, Mapping) else None
         return float(value) if isinstance(value, int | float) else None
-
-    def _take_gains(self, numbers: Mapping[str, float]) -> None:
-        new = {**self.numbers, **numbers}
-        try:
-            self.loop.take_gains(self.units.of(new))
-        except ValueError:
-            self.refused += 1
-            return
-        self.numbers.update(numbers)

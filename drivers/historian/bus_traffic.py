@@ -6,7 +6,7 @@ A signal is called as the DBC calls it where that names a loop (FIC101_PV); else
 a message FIC101 with a signal PV). Of a log that ends in damage what stands before it is taken, and told.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
 
@@ -63,9 +63,12 @@ def tables_of_traffic(path: Path, form: RecordForm) -> list[RawTable]:
         if key in messages:
             times.setdefault(key, []).append(frame.timestamp)
             data.setdefault(key, []).append(bytes(frame.data))
-    by_key = {key: _frames(times[key], some, messages[key].length) for key, some in data.items()}
-    del times, data  # a number and some bytes for each frame of the log
-    for key, frames in by_key.items():
+    for key in list(data):
+        some = data.pop(key)  # some bytes for each frame of the log
+        lengths = np.array([len(one) for one in some])
+        width = max(messages[key].length, int(lengths.max()))
+        payload = np.frombuffer(b"".join(one.ljust(width, b"\0") for one in some), np.uint8).reshape(-1, width)
+        frames = Frames(np.array(times.pop(key)), payload, lengths)
         for signal, name in _names(messages[key]).items():
             called = form.called(name)
             asked = next((n for n in (called, name, signal) if n in form.others), "")
@@ -116,14 +119,6 @@ def _whole_frames(path: Path, told: list[Assumption]) -> Iterator[can.Message]:
         if not count:
             raise
         told.append(Assumption(f"{error}: what stands before it was taken"))
-
-
-def _frames(times: Sequence[float], data: Sequence[bytes], length: int) -> Frames:
-    """Frames of one identifier; length : of its message, in bytes."""
-    lengths = np.array([len(one) for one in data])
-    width = max(length, int(lengths.max()))
-    payload = np.frombuffer(b"".join(one.ljust(width, b"\0") for one in data), np.uint8)
-    return Frames(np.array(times), payload.reshape(-1, width), lengths)
 
 
 def _values(message: Message, signal: Signal, frames: Frames) -> tuple[np.ndarray, FloatArray]:

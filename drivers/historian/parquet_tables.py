@@ -63,11 +63,16 @@ def tables_of_parquet(
         names = _wanted(schema, form, {t.lower() for t in tags})
         whole = most_rows is None or file.metadata.num_rows <= most_rows
         batches = [file.read(columns=names)] if whole else file.iter_batches(most_rows, columns=names)
+        # the columns as the form calls them, a signal that its folder names by that name
+        signal, values = signal_of_folder(path), loops(names).get("", {}).get("value", [])
+        own = {names[place]: signal for place in values[:1]} if signal else {}
+        kept = {*form.columns.values(), *form.others}
+        called = tuple(name if name in kept else form.called(own.get(name, name)) for name in names)
         at = 0
         for batch in batches:
             if batch.num_rows:
                 columns = tuple(column_of(name, batch.column(name), copy=False) for name in names)
-                yield [RawTable(str(path), _called(path, names, form), columns, RowNumbers(batch.num_rows, at))]
+                yield [RawTable(str(path), called, columns, RowNumbers(batch.num_rows, at))]
             at += batch.num_rows
 
 
@@ -94,14 +99,6 @@ def _wanted(schema: Any, form: RecordForm, tags: set[str]) -> list[str]:  # noqa
     fitting = [name for name in schema.names if name in kept]
     apart = not any({"pv", "co", "sp"} & roles.keys() for roles in _loops(fitting, form).values())
     return list(schema.names) if apart and not {"pv", "co", "sp"} & form.columns.keys() else fitting
-
-
-def _called(path: Path, names: Sequence[str], form: RecordForm) -> tuple[str, ...]:
-    """The columns as the form calls them, a signal that its folder names by that name."""
-    signal, values = signal_of_folder(path), loops(names).get("", {}).get("value", [])
-    own = dict.fromkeys((names[place] for place in values[:1]), signal) if signal else {}
-    kept = {*form.columns.values(), *form.others}
-    return tuple(name if name in kept else form.called(own.get(name, name)) for name in names)
 
 
 def _long(path: Path, file: Any, at: tuple[str, str], form: RecordForm, tags: set[str]) -> list[RawTable]:  # noqa: ANN401

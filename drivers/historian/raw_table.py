@@ -5,7 +5,6 @@ stamps, words for a missing value). Of the lines before the first row that have 
 names are known is the header: units and descriptions stand in the others.
 """
 
-import csv
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -18,7 +17,7 @@ from retuner.adaptive.signals.sample import FloatArray
 from retuner.drivers.historian.assumption import Assumption, quoted
 from retuner.drivers.historian.record_form import DELIMITERS, RecordForm
 from retuner.drivers.historian.tags import TIME_UNIT, known_roles
-from retuner.drivers.recorded.recording import SIZE_MAX, RecordingError, size_of
+from retuner.drivers.recorded.recording import SIZE_MAX, RecordingError, fields_of, size_of
 from retuner.schedule.late_dataclass import dataclass, field
 
 Column = Sequence[str] | FloatArray | npt.NDArray[np.datetime64]
@@ -88,7 +87,10 @@ def text_table(path: Path, text: str, assumed: tuple[Assumption, ...], form: Rec
     half = LOOKED_AT // 2
     some = lines if len(lines) <= LOOKED_AT else [*lines[len(lines) // 2 :][:half], *lines[-half:]]
     delimiter = DELIMITERS.get(form.delimiter) or _delimiter([line for _, line in some])
-    rows = [(number, _fields(path, number, line, delimiter)) for number, line in lines]
+    rows = [
+        (number, line.split() if delimiter == " " else fields_of(path, number, line, delimiter, spaced=True))
+        for number, line in lines
+    ]
     rows = [(number, fields) for number, fields in rows if any(field.strip() for field in fields)]
     used = {i for _, fields in rows for i, field in enumerate(fields) if field.strip()}
     if form.header != 0 and len(used) < max(len(fields) for _, fields in rows):
@@ -122,7 +124,13 @@ def decoded(path: Path, form: RecordForm, most_bytes: int | None = None) -> tupl
         raise RecordingError(f"{path}: cannot be read: {error}") from error
     if len(data) < size:  # whole lines only
         data = data[: data.rfind(b"\n") + 1] or data
-    for encoding, assumed in _encodings(data, form):
+    known: list[tuple[str, tuple[Assumption, ...]]] = [("utf-8-sig", ())]
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        known.insert(0, ("utf-16", (Assumption("read as UTF-16", 'encoding = "utf-16"'),)))
+    elif data[1:400:2].count(0) > 0.4 * len(data[1:400:2]) and data[:1] != b"\0":
+        known.insert(0, ("utf-16-le", (Assumption("read as UTF-16", 'encoding = "utf-16-le"'),)))
+    known.append(("latin-1", (Assumption("not UTF-8: read as Latin-1", 'encoding = "latin-1"'),)))
+    for encoding, assumed in [(form.encoding, ())] if form.encoding else known:
         try:
             return data.decode(encoding), assumed
         except UnicodeDecodeError as error:
@@ -131,18 +139,6 @@ def decoded(path: Path, form: RecordForm, most_bytes: int | None = None) -> tupl
                     f"{path}: byte {error.start} is no {form.encoding}; give the right encoding"
                 ) from error
     raise AssertionError("any bytes are Latin-1")
-
-
-def _encodings(data: bytes, form: RecordForm) -> list[tuple[str, tuple[Assumption, ...]]]:
-    if form.encoding:
-        return [(form.encoding, ())]
-    known: list[tuple[str, tuple[Assumption, ...]]] = [("utf-8-sig", ())]
-    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
-        known.insert(0, ("utf-16", (Assumption("read as UTF-16", 'encoding = "utf-16"'),)))
-    elif data[1:400:2].count(0) > 0.4 * len(data[1:400:2]) and data[:1] != b"\0":
-        known.insert(0, ("utf-16-le", (Assumption("read as UTF-16", 'encoding = "utf-16-le"'),)))
-    latin = "latin-1"
-    return [*known, (latin, (Assumption("not UTF-8: read as Latin-1", f'encoding = "{latin}"'),))]
 
 
 def without_status(field: str) -> str:
@@ -171,17 +167,6 @@ def _delimiter(lines: Sequence[str]) -> str:
 
     best = max(("\t", ";", ",", "|"), key=lambda d: tuple(round(x, 1) for x in speaks_for(d)[:2]))
     return best if speaks_for(best)[2] else " "
-
-
-def _fields(path: Path, number: int, line: str, delimiter: str) -> list[str]:
-    if delimiter == " ":
-        return line.split()
-    if '"' not in line:
-        return line.split(delimiter)
-    try:
-        return next(csv.reader([line], delimiter=delimiter, strict=True, skipinitialspace=True))
-    except csv.Error as error:
-        raise RecordingError(f"{path}:{number}: quoting: {error}; close the quote on its line") from error
 
 
 def _is_row(fields: Sequence[str]) -> bool:
@@ -215,20 +200,15 @@ def _shape(path: Path, rows: Rows, form: RecordForm) -> tuple[list[list[str]], R
             raise RecordingError(f"{path}:{number}: {len(fields)} fields, other rows have {width}{hint}")
     if form.header is not None:
         return [fields for number, fields in before if number == form.header], body, told
-    _refuse_shifted(path, before, body, width)
-    return [fields for _, fields in before if width in {len(fields), len(fields) + 1}], body, told
-
-
-def _refuse_shifted(path: Path, before: Rows, body: Rows, width: int) -> None:
-    """Refuse a header with a name less than the rows have fields, where their last field is not just a delimiter."""
-    if any(len(fields) == width for _, fields in before) or not any(fields[-1].strip() for _, fields in body):
-        return
-    for number, fields in before:
+    # a header with a name less than the rows have fields, where their last field is not just a delimiter
+    whole = any(len(fields) == width for _, fields in before) or not any(fields[-1].strip() for _, fields in body)
+    for number, fields in () if whole else before:
         if len(fields) == width - 1 and known_roles(fields):
             raise RecordingError(
                 f"{path}:{number}: {width - 1} names over rows of {width} fields (a comma in a stamp, row numbers?); "
                 "give each column its name, or --record with header = 0, and --columns t=1,pv=2,..."
             )
+    return [fields for _, fields in before if width in {len(fields), len(fields) + 1}], body, told
 
 
 def refuse_repeated(table: RawTable, place: int) -> None:

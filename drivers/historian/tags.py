@@ -60,7 +60,10 @@ def named(name: str) -> NamedColumn:
         word = "".join(parts[-taken:]).lower()
         role = "mv" if word == "mv" else ROLE_OF.get(word, "")
         if role:
-            return NamedColumn(_before(bare, parts, taken), role, inside)
+            at = 0  # what stands before the words of the role is the loop
+            for part in parts[:-taken]:
+                at = bare.index(part, at) + len(part)
+            return NamedColumn(bare[:at], role, inside)
     if len(parts) == 2 and parts[1].lower() in TIME_UNIT and ROLE_OF.get(parts[0].lower()) == "t":
         return NamedColumn("", "t", parts[1].lower())
     return NamedColumn("", "", inside)
@@ -70,16 +73,6 @@ def last_word(name: str) -> str:
     """The last word of a column's name without its unit, in small letters."""
     parts = [part for part in SEPARATED.split(UNIT.sub("", name)) if part]
     return parts[-1].lower() if parts else ""
-
-
-def _before(bare: str, parts: Sequence[str], taken: int) -> str:
-    """What stands before the words of the role: the loop."""
-    if len(parts) == taken:
-        return ""
-    at = 0
-    for part in parts[:-taken]:
-        at = bare.index(part, at) + len(part)
-    return bare[:at]
 
 
 def loops(names: Sequence[str]) -> dict[str, dict[str, list[int]]]:

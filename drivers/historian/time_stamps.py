@@ -324,16 +324,13 @@ def seconds(t: Times) -> npt.NDArray[np.float64]:
     """Times as seconds: numbers are seconds already, moments count from the first one."""
     values = np.asarray(t)
     if values.dtype.kind == "O":  # Python's own moments; numpy knows those without a zone
-        values = np.array([np.datetime64(_moment(v), "us") for v in values])
+        for v in values:
+            if not isinstance(v, datetime):
+                raise ValueError(f"t = {v!r}: give seconds or moments")  # noqa: TRY004  as any wrong value here
+        without = [v if v.tzinfo is None else v.astimezone(UTC).replace(tzinfo=None) for v in values]
+        values = np.array([np.datetime64(v, "us") for v in without])
     if values.dtype.kind == "M":
         values = values - values[:1]
     if values.dtype.kind == "m":
         return values / np.timedelta64(1, "s")
     return values.astype(np.float64)
-
-
-def _moment(value: object) -> datetime:
-    """A moment without its zone, in UTC if it had one."""
-    if not isinstance(value, datetime):
-        raise ValueError(f"t = {value!r}: give seconds or moments")  # noqa: TRY004  any wrong value is a ValueError here
-    return value if value.tzinfo is None else value.astimezone(UTC).replace(tzinfo=None)

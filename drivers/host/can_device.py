@@ -168,25 +168,25 @@ class CanDevice:
 
     def _take(self, frame: frames.DeviceFrame, now_s: float) -> None:
         match frame:
-            case frames.TelemetryPv() | frames.TelemetrySp():
-                # Half a sample; a sequence number that is not the known one means that somebody else has written.
-                if self.machine.phase is ConnectPhase.CONNECTED:
-                    before = self._joiner.contradictions
-                    joined = self._joiner.take(frame)
-                    if self._joiner.contradictions > before:
-                        self._belief.contradicted()
-                    if joined is not None:
-                        self._sample_s = now_s
-                        self._events += [SamplesLost(joined.lost, joined.sample.t_s)] if joined.lost else []
-                        self._events += [*self._joiner.tap.news(), joined.sample]
-                        running = self._belief.running
-                        if running is not None and joined.sample.revision != running.seq and not self._reads:
-                            self._belief.doubt()
-                        proven = self.probation.sample(joined.sample.revision)
-                        if proven is not None:
-                            self.commands.confirm(proven)
-            case frames.Heartbeat() | frames.Status():
-                self._on_life_sign(frame)
+            case frames.TelemetryPv() | frames.TelemetrySp() if self.machine.phase is ConnectPhase.CONNECTED:
+                before = self._joiner.contradictions
+                joined = self._joiner.take(frame)
+                if self._joiner.contradictions > before:
+                    self._belief.contradicted()
+                if joined is not None:  # both halves of a sample are here
+                    self._sample_s = now_s
+                    self._events += [SamplesLost(joined.lost, joined.sample.t_s)] if joined.lost else []
+                    self._events += [*self._joiner.tap.news(), joined.sample]
+                    self._on_running_number(joined.sample.revision)
+                    proven = self.probation.sample(joined.sample.revision)
+                    if proven is not None:
+                        self.commands.confirm(proven)
+            case frames.Heartbeat():
+                if self._belief.on_heartbeat(frame) and self._joiner.set_reference(frame.sample) is Said.CONTRADICTS:
+                    self._belief.contradicted()
+            case frames.Status():
+                self.sequence.note(frame.latest)
+                self._on_running_number(frame.running)
             case frames.Identity():
                 self._on_identity(frame, now_s)
             case frames.PageItem() | frames.PageEnd():
@@ -196,9 +196,8 @@ class CanDevice:
                     self.write.on_staged(page)
                 elif page is not None and page.page == frames.Page.RUNNING:
                     self._on_running(page, now_s)
-            case frames.Challenge():
-                if self._reader.is_newest(frame):
-                    self.write.on_challenge(frame)
+            case frames.Challenge() if self._reader.is_newest(frame):
+                self.write.on_challenge(frame)
             case frames.Ack():
                 event = self._on_ack(frame)
                 self._events += [event] if event is not None else []
@@ -229,21 +228,11 @@ class CanDevice:
         self.probation.end()
         return None
 
-    def _on_life_sign(self, sign: frames.Heartbeat | frames.Status) -> None:
-        """Sample counter and epoch, or sequence numbers, as the device has them."""
-        if isinstance(sign, frames.Heartbeat):
-            if self._belief.on_heartbeat(sign) and self._joiner.set_reference(sign.sample) is Said.CONTRADICTS:
-                self._belief.contradicted()
-            return
-        self.sequence.note(sign.latest)
+    def _on_running_number(self, seq: int) -> None:
+        """A number that is not the known one means that somebody else has written, if no write asks what runs."""
         running = self._belief.running
-        if running is not None and sign.running != running.seq and not self._reads:
+        if running is not None and seq != running.seq and self.write.phase is not WritePhase.READING:
             self._belief.doubt()
-
-    @property
-    def _reads(self) -> bool:
-        """Whether a write is asking what runs already."""
-        return self.write.phase is WritePhase.READING
 
     def _on_identity(self, identity: frames.Identity, now_s: float) -> None:
         """Who is there: go on only with the right one, at the first connection and after every restart."""
@@ -316,7 +305,7 @@ class CanDevice:
 
     def _ask(self, now_s: float) -> None:
         """Ask who is there, or what runs, as long as it is not known."""
-        phase, belief, reads = self.machine.phase, self._belief, self._reads
+        phase, belief, reads = self.machine.phase, self._belief, self.write.phase is WritePhase.READING
         who = phase is ConnectPhase.SEARCHING or belief.unidentified
         if (phase is ConnectPhase.CONNECTED and not belief.doubtful) or (reads and not who):
             self._ask_s = now_s

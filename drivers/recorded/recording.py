@@ -120,7 +120,7 @@ def column_names(path: Path) -> frozenset[str]:
         with open_parquet(path) as file:
             return frozenset(file.schema_arrow.names)
     number, text = next(_rows(path), (1, ""))
-    return frozenset(field.strip() for field in _fields(path, number, text, max(DELIMITERS, key=text.count)))
+    return frozenset(field.strip() for field in fields_of(path, number, text, max(DELIMITERS, key=text.count)))
 
 
 def size_of(path: Path, give: str = "a CSV or Parquet file") -> int:
@@ -148,7 +148,7 @@ def _read_csv(path: Path, names: list[str], wanted: list[str]) -> dict[str, Floa
     rows = _rows(path)
     number, text = next(rows, (1, ""))
     delimiter = max(DELIMITERS, key=text.count)
-    header = [field.strip() for field in _fields(path, number, text, delimiter)]
+    header = [field.strip() for field in fields_of(path, number, text, delimiter)]
     for name in wanted:
         if name not in header:
             raise _missing(path, f":{number}", name, header)
@@ -159,7 +159,7 @@ def _read_csv(path: Path, names: list[str], wanted: list[str]) -> dict[str, Floa
     values: dict[str, list[float]] = {name: [] for name in places}
     last_t = -math.inf
     for number, text in rows:
-        fields = _fields(path, number, text, delimiter)
+        fields = fields_of(path, number, text, delimiter)
         if len(fields) != len(header):
             hint = "; a decimal comma needs ; between fields" if len(fields) == 2 * len(header) else ""
             raise RecordingError(f"{path}:{number}: {len(fields)} fields, the header has {len(header)}{hint}")
@@ -189,11 +189,12 @@ def _rows(path: Path) -> Iterator[tuple[int, str]]:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
 
 
-def _fields(path: Path, number: int, text: str, delimiter: str) -> list[str]:
+def fields_of(path: Path, number: int, text: str, delimiter: str, *, spaced: bool = False) -> list[str]:
+    """The fields of a line, which may be quoted. spaced : blanks may stand before a quote."""
     if '"' not in text:
         return text.split(delimiter)
     try:
-        return next(csv.reader([text], delimiter=delimiter, strict=True))
+        return next(csv.reader([text], delimiter=delimiter, strict=True, skipinitialspace=spaced))
     except csv.Error as error:
         raise RecordingError(f"{path}:{number}: quoting: {error}; close the quote on its line") from error
 
