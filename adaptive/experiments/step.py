@@ -383,9 +383,7 @@ def swing(window: Window) -> Swing:
     times, spans = _upward(window.t_s, window.pv - level)
     periods = np.diff(np.array(times))
     heights = np.array([float(np.ptp(window.pv[a:b])) / 2 for a, b in spans])
-    whole = heights > 2 * CLEAR_MOVE_STDS * noise_sigma(
-        window.pv
-    )  # what has died into the noise shows no period any more
+    whole = heights > 2 * CLEAR_MOVE_STDS * noise_sigma(window.pv)  # a swing in the noise shows no period any more
     last = len(whole) if np.all(whole) else int(np.argmin(whole))
     periods, heights = periods[:last], heights[:last]
     if last < FEWEST_PERIODS:

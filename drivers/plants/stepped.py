@@ -96,9 +96,7 @@ class SteppedPlant:
         given[LEAD - 1 :] += step  # held from the last sample of the lead on
         try:
             window = Window(np.arange(float(len(pv))) * self._dt_s, np.full(len(pv), pv[0]), pv, given)
-            sign = (
-                1 if (pv[-1] - pv[0]) * step >= 0.0 else -1
-            )  # else a tail explains a slow rise, with a gain of nothing
+            sign = 1 if (pv[-1] - pv[0]) * step >= 0.0 else -1  # else a tail with no gain explains a slow rise
             found = identify_window(window, sign, settings=OPEN_LOOP)
         except ValueError as error:
             raise NoProcessError(f"a step of its copy tells no process: {error}") from None
