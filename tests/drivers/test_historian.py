@@ -338,6 +338,14 @@ def test_the_hour_that_comes_twice_needs_the_zone(written: Callable[..., Path]) 
     assert np.all(np.diff(read.recording.t_s) == 1800.0)
 
 
+def test_a_row_that_comes_late_or_a_clock_that_is_set_right_is_no_hour_that_comes_twice(
+    written: Callable[..., Path],
+) -> None:
+    seconds = [*range(0, 1000, 5), 985, *range(1000, 2000, 5)]
+    rows = "".join(f"2024-10-24 10:{s // 60:02d}:{s % 60:02d},1,{s},{s}\n" for s in seconds)
+    assert "out of order" in in_a_line(read_loop_record([written("time,sp,pv,co\n" + rows)]).assumed)
+
+
 @pytest.mark.parametrize(
     ("content", "form", "message"),
     [
