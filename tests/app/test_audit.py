@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from audit_work import dies_or_works
 from command_line import answer, printed, refused
+from pi_loop import Lag, pi_loop
 from plain_recording import read_recording
 
 from retuner.audit.catalogue import Task, catalogue, files_of
@@ -22,6 +23,7 @@ from retuner.drivers.historian.record_form import RecordForm
 from retuner.drivers.recorded.recording import RecordingError
 from retuner.errors import UserError
 from retuner.schedule.controller_units import ControllerUnits
+from retuner.schedule.gains import PidGains
 
 DATA = Path(__file__).parent.parent / "data"
 VALVE = DATA / "plant" / "FIC20102_1016_12.csv"
@@ -399,3 +401,23 @@ def test_the_page_knows_whose_controllers_they_are(tmp_path: Path) -> None:
     write_results(tmp_path, [row("A", 0.5)], [], [], controller=ControllerUnits.named("deltav-standard", pv_span=200.0))
     assert '"controller": {"name": "deltav-standard", "span": 200.0}' in (tmp_path / "audit-data.js").read_text()
     assert "give --pv-span" in refused("audit", tmp_path, "--controller", "deltav-standard")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("after", "action"), [(4.0, "retune"), (1.0, "nothing")])
+def test_a_loop_is_judged_by_its_newest_settings_and_retuned_where_diagnose_has_settings(
+    tmp_path: Path, after: float, action: str
+) -> None:
+    """Tight in both halves of its record, or calmed between them and back in order."""
+    halves = []
+    for kc, seed in ((4.0, 1), (after, 2)):
+        rng, at = np.random.default_rng(seed), np.arange(1000)
+        load, sp = np.cumsum(rng.standard_normal(1000)) * 0.1, np.where((at > 150) & (at < 300), 4.0, 0.0)
+        halves.append(pi_loop(PidGains(kc, kc / 20.0), Lag(20.0, 4), sp, 0.02 * rng.standard_normal(1000), load))
+    sp, pv, co = (np.concatenate([getattr(one, name) for one in halves]) for name in ("sp", "pv", "co"))
+    path = tmp_path / "TIC1.csv"
+    np.savetxt(path, np.column_stack([np.arange(2000.0), sp, pv, co]), delimiter=",", header="t,sp,pv,co", comments="")
+    (found,) = audit_task(Task(("TIC1",), (path,), separate=True), AuditSettings())
+    assert found["action"] == action
+    assert (found["settings"] is not None) == (action == "retune")
+    assert "No settings" not in str(found["reason"])

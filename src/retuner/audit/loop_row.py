@@ -7,6 +7,7 @@ with that of an earlier audit. A loop that fails is a row with the reason.
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -27,7 +28,7 @@ from retuner.adaptive.audit.tracks import damped_track, swing_track, trend_track
 from retuner.adaptive.audit.verdict import SWINGS, LoopVerdict, StretchVerdict, asks, loop_verdict, with_foreseen
 from retuner.adaptive.choice.foreseen import Foreseen, foreseen, weighed_models
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause
-from retuner.adaptive.identification.robust_simc import RobustSettings, believed, robust_simc
+from retuner.adaptive.identification.robust_simc import RobustSettings, believed
 from retuner.adaptive.indexes.days import MOST_DAYS, days_of, off_in
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.audit.catalogue import ANY_FAULT, Task, told_fault
@@ -112,11 +113,14 @@ def _row(tag: str, read: Iterator[LoopRecord], settings: AuditSettings, *, commo
             seen.add(record, settings)
         # The row of a loop whose records were seen
         screen = joined_screen([one for one in seen.screens if one.setpoint] or seen.screens)
-        verdict = loop_verdict(screen, [part.verdict for part in seen.parts])
-        cure = _cure(verdict, [part.found for part in seen.parts])
+        now = _under_newest(seen.parts)
+        verdict = loop_verdict(screen, [part.verdict for part in now])
+        cure = _cure(verdict, [part.found for part in now])
         then = _foreseen(cure, seen.spread) if cure is not None else None
         if verdict.cause in TUNING_CAUSES:
-            verdict = with_foreseen(verdict, then, proposed=cure is not None and cure.settings is not None)
+            proposed = cure is not None and cure.recommended is not None
+            verdict = with_foreseen(verdict, then, proposed=proposed)
+            verdict = replace(verdict, reason=cure.diagnosis.reason) if cure is not None and proposed else verdict
         harmonics = (part.found.diagnosis.evidence.get("third_harmonic", 0.0) for part in seen.parts)
         own = [part for part in seen.parts if part.found is cure]
         able = own or sorted(seen.parts, key=lambda part: -part.verdict.confidence)
@@ -259,11 +263,28 @@ def _moment(begin_s: float | None, after_s: float) -> str | None:
     return datetime.fromtimestamp(begin_s + after_s, UTC).strftime("%Y-%m-%d %H:%M:%S")
 
 
+def _under_newest(parts: Sequence[Part]) -> list[Part]:
+    """The stretches without those whose tuning was another one than the newest, as far as settings are known."""
+    known = [(part.verdict.end_s, part.found.active) for part in parts if part.found.active is not None]
+    newest = max(known, key=itemgetter(0))[1] if known else None
+
+    def other(found: RecordDiagnosis) -> bool:
+        if found.active is None or newest is None or found.cause not in {Cause.OK, *TUNING_CAUSES}:
+            return False
+        pairs = ((found.active.kp, newest.kp), (found.active.ki, newest.ki))
+        return any(max(map(abs, two)) > OTHER * min(map(abs, two)) for two in pairs)
+
+    return [part for part in parts if not other(part.found)]
+
+
+OTHER = 1.5  # ratio of two gains that were read off, each to 15 % (LawSettings), from which they are not the same
+
+
 def _cure(verdict: LoopVerdict, found: Sequence[RecordDiagnosis]) -> RecordDiagnosis | None:
     """The surest stretch of a cause of tuning that told the process, one with settings where there is one."""
     if verdict.cause not in TUNING_CAUSES:
         return None
-    telling = [f for f in found if f.diagnosis.cause == verdict.cause and f.estimate is not None]
+    telling = [f for f in found if f.diagnosis.cause == verdict.cause and (f.estimate or f.foreseen)]
     return max(telling, key=lambda f: (f.settings is not None, f.diagnosis.confidence), default=None)
 
 
@@ -273,13 +294,13 @@ def _own_copy(part: Window) -> Window:
 
 
 def _foreseen(cure: RecordDiagnosis, records: Sequence[Window]) -> Foreseen | None:
-    """What settings would have made of parts spread over the record; the rule's own where none are proposed."""
+    """What settings would have made of parts spread over the record; of the stretch itself where many processes are
+    weighed.
+    """
     estimate = cure.estimate
-    if estimate is None or not records:
-        return None
-    rule = RobustSettings()
-    interval_s = min(record.sample_time_s for record in records)
-    gains = (cure.settings or robust_simc(estimate, interval_s, rule).tuning).gains
+    if estimate is None or cure.likely or cure.settings is None or not records:
+        return cure.foreseen
+    rule, gains = RobustSettings(), cure.settings.gains
     allowed = replace(estimate, plausible=tuple(believed(estimate.plausible, rule.believed)))
     return foreseen(records, weighed_models(allowed), gains, cure.active)
 
@@ -293,8 +314,9 @@ def _cure_words(cure: RecordDiagnosis | None, then: Foreseen | None) -> Row:
         told = cure.settings.to_dict()
         settings = {name: told[name] for name in ("gains", "form", "parallel", "margins")}
         settings["first_step"] = cure.aim is not None
-    if cure is not None and cure.estimate is not None:
-        process = {"model": cure.estimate.log.model().to_dict(), "foreseen": then.to_dict() if then else None}
+    model = None if cure is None else cure.estimate.log.model() if cure.estimate else cure.model
+    if model is not None:
+        process = {"model": model.to_dict(), "foreseen": then.to_dict() if then else None}
     return {"settings": settings, "process": process}
 
 
