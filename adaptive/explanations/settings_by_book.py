@@ -12,9 +12,9 @@ between the grid's points as well (`over_cells`). A change is made where two loo
                     itself looks like a process that does
 
 While a tone may move the loop and the setpoint has not told the process, more action waits; less is weighed with it.
-How the spectrum of a load falls is assumed, and much rests on that in closed loop (Forssell & Ljung 1999). So a change
-by loads alone must be better with two thirds of the odds under each order of the walk, less action under each that the
-samples do not refute.
+How the spectrum of a load falls is assumed, and much rests on that in closed loop (Forssell & Ljung 1999). So by loads
+alone less action must be better with two thirds of the odds under each order of the walk that the samples do not
+refute, and more action needs a loop with room besides: under one order by itself a weak loop and a good one look alike.
 """
 
 import math
@@ -73,9 +73,10 @@ class BookSettings:
     restless: float = setting(0.3, "Share of samples outside the noise band from which a load wanders", "0.1..0.9")
     most: float = setting(0.7, "How much a change may save or cost on a process", "0.2..2.5", "ln 2: it is on trial")
     borne_out: float = setting(
-        2 / 3, "Odds of being better that a change needs by loads alone", "0.5..0.9", "60 changes, seeds 9331 to 9361"
+        2 / 3, "Odds of being better by loads alone, of less action", "0.5..0.9", "60 changes, seeds 9331 to 9361"
     )
     room: float = setting(1.8, "Times as much of all actions that a loop with room bears", "1.5..3")
+    room_odds: float = setting(0.7, "Odds of room from which loads alone ask for more action", "0.5..0.95")
     cost: WorthSettings = field(default_factory=lambda: WorthSettings(ms_calm=1.68, unstable_share=0.02))
 
     def __post_init__(self) -> None:
@@ -159,9 +160,9 @@ def by_book(book: Book, gains: PidGains, settings: BookSettings) -> ByBook:
     if told:
         kinds += [MORE_GAIN, MORE_INTEGRAL] if high >= settings.less_odds else [MORE_GAIN]
     tried = [one for kind in kinds for one in _sets(gains, kind, integral_times, settings)]
-    leans, best = 0, _best(drawn, gains, tried, settings, more=True, told=told, tone=tone, orders=by_orders)
-    least = settings.more_odds if told else settings.borne_out
-    if best is not None and gain(drawn, gains, best[1], settings)[1] >= least:
+    leans, best = 0, _best(drawn, gains, tried, settings, more=True, told=told, tone=tone)
+    likely = told or room >= settings.room_odds
+    if best is not None and likely and gain(drawn, gains, best[1], settings)[1] >= settings.more_odds:
         leans = 1
     elif high >= settings.less_odds:
         less = _sets(gains, LESS_OF_ALL, integral_times, settings)
@@ -281,7 +282,7 @@ def _integral_times(book: Book, drawn: LikelyProcesses) -> FloatArray:
 
 def _best(
     drawn: LikelyProcesses, gains: PidGains, candidates: Iterable[PidGains], settings: BookSettings, *,
-    more: bool, told: bool, tone: float, orders: Sequence[LikelyProcesses] = (),
+    more: bool, told: bool, tone: float,
 ) -> tuple[float, PidGains, FloatArray] | None:  # fmt: skip
     """Worth, gains and Ms on each process of the candidate that is most worth a change; None where none is."""
     (stays, before), found = costs(drawn, gains, settings.cost), []
@@ -295,7 +296,7 @@ def _best(
             continue
         saves = stays - costs(drawn, new, settings.cost)[0]
         worth = worth_of(drawn, saves, settings, more=more, tone=tone, faster=faster(gains, new))
-        if worth >= settings.worth and all(gain(one, gains, new, settings)[1] >= settings.borne_out for one in orders):
+        if worth >= settings.worth:
             found.append((float(drawn.weights @ saves) if more else worth, new, peaks))
     return max(found, key=lambda one: one[0], default=None)
 

@@ -159,15 +159,17 @@ def test_less_action_must_not_be_worse_under_any_plausible_order_of_the_load(pla
     assert by_book(replace(book, orders=refuted), tight, SETTINGS).tuning, "all samples refute that order"
 
 
-@pytest.mark.parametrize("plane", range(ANSWERS + 1, PLANES[0]))
-def test_more_action_must_not_be_worse_under_any_order_of_the_load(plane: int) -> None:
+def test_by_loads_alone_more_action_needs_room_by_all_orders_of_the_load_together(monkeypatch):
     calm = scaled(0.4)
     book = replace(after(calm, 9), leans=1, moved=0.0)
-    assert by_book(book, calm, SETTINGS).tuning
     planes = np.frombuffer(book.levels, dtype=np.uint8).reshape(PLANES).copy()
-    planes[plane] = np.roll(planes[plane], 7, axis=-1)  # four times the gain
-    said = by_book(replace(book, levels=planes.tobytes()), calm, SETTINGS)
+    planes[ANSWERS + 1 :] = np.roll(planes[ANSWERS + 1 :], 7, axis=-1)  # four times the gain
+    book = replace(book, levels=planes.tobytes())
+    assert by_book(book, calm, SETTINGS).tuning, "an order by itself asks nothing"
+    monkeypatch.setattr(settings_by_book, "shares", lambda *_: (0.0, 0.9 * SETTINGS.room_odds))
+    said = by_book(book, calm, SETTINGS)
     assert (said.leans, said.tuning) == (0, None)
+    assert by_book(replace(book, moved=1.0), calm, SETTINGS).tuning, "a moved setpoint shows what the loop bears"
 
 
 @pytest.mark.parametrize(("gain", "later"), [(1.0, 0.0), (1.04, 0.2), (0.96, -0.2), (1.06, -0.2)])
