@@ -11,7 +11,8 @@ between the grid's points as well (`over_cells`). A change is made where two loo
     integral time   no shorter than the rule's (SIMC: Skogestad 2003) on most processes: a load that comes back by
                     itself looks like a process that does
 
-While a tone may move the loop and the setpoint has not told the process, more action waits; less is weighed with it.
+While a tone is likelier than none and the setpoint has not told the process, no change follows; below that, less action
+is weighed with it.
 How the spectrum of a load falls is assumed, and much rests on that in closed loop (Forssell & Ljung 1999). So by loads
 alone less action must be better with two thirds of the odds under each order of the walk that the samples do not
 refute, and more action needs a loop with room besides: under one order by itself a weak loop and a good one look alike.
@@ -58,9 +59,7 @@ class BookSettings:
         0.5, "Odds that a process has changed where two responses differ from all before", "0.1..0.9"
     )
     drawn: int = setting(300, "Processes that stand for the weights", "100..1000")
-    tone: float = setting(
-        0.2, "Odds of an external oscillation from which loads alone ask for no more action", "0.05..0.9"
-    )
+    tone: float = setting(0.2, "Odds of an external oscillation from which it is told", "0.05..0.9")
     worth: float = setting(
         0.18, "How much cheaper a change must be expected to be", "0.1..0.7", "ln 1.2: below J's limit"
     )
@@ -167,7 +166,7 @@ def by_book(book: Book, gains: PidGains, settings: BookSettings) -> ByBook:
     elif high >= settings.less_odds:
         less = _sets(gains, LESS_OF_ALL, integral_times, settings)
         leans, best = -1, _best(drawn, gains, less, settings, more=False, told=told, tone=tone)
-    leans = 0 if tone >= (HALF if leans < 0 else settings.tone) else leans
+    leans = 0 if tone >= HALF else leans
     odds = high if leans < 0 else room if told else 0.0
     sure = odds >= settings.sure_odds and book.records > 0  # a part of a window looks sure too soon
     said = ByBook(numbers, leans, tells_tone=book.tone >= settings.tone)
