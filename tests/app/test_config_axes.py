@@ -3,6 +3,7 @@
 import pytest
 
 from retuner import Axis, Lookup
+from retuner.commands.run import foreseen
 from retuner.config.loading import UnusableError, parse_config
 
 HEAD = """schema = 1
@@ -139,3 +140,16 @@ def test_a_cell_on_one_axis_three_axes_and_too_few_regions_are_refused() -> None
     assert any("no meaning with one axis" in message for _, _, message in refused(one))
     assert "must have at most 2 entries" in refused(HEAD + AXES + AXES + REGIONS)[0][2]
     assert "3 given, but 1 x 1 bounds make 4 regions" in refused(GOOD[: GOOD.rindex("[[")])[0][2]
+
+
+@pytest.mark.parametrize(
+    ("schedule", "warned"),
+    [
+        ('variable = "pv"', True), ('variable = "pv"\nhysteresis = 1.0', False), ('variable = "sp"', False),
+        ('variable = "pv"\nmin_stay_s = 60', False), ('variable = "pv"\nlookup = "interpolated"', False),
+    ],
+)  # fmt: skip
+def test_a_boundary_that_noise_passes_to_and_fro_is_foreseen(schedule: str, *, warned: bool) -> None:
+    head = HEAD.replace('lookup = "interpolated"', f"{schedule}\nbounds = [70.0]")
+    found = foreseen(parse_config(head + region("low", 1.0) + region("high", 2.0)))
+    assert any("over boundaries without hysteresis" in one.text for one in found) is warned

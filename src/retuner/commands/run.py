@@ -26,6 +26,7 @@ from retuner.ledger.trend import NO_PYARROW
 from retuner.products import product
 from retuner.schedule.controller_units import Acting
 from retuner.schedule.late_dataclass import dataclass, field, replace
+from retuner.schedule.table import Lookup
 from retuner.session import outputs
 from retuner.session.assembly import guard_settings
 from retuner.session.running import Run, nothing, real_time_speed
@@ -108,6 +109,14 @@ def foreseen(config: Config) -> Iterator[Warned]:
             yield Warned(
                 f"region {name}: {what} = {value:g} (parallel form) is {side} the limit of [adaptation], {limit:g}: "
                 "changes may only lead towards it"
+            )
+    # Boundaries on what is measured, over which its noise alone takes the loop to and fro
+    hard = Lookup(config.schedule.lookup) is Lookup.HARD
+    for one in regions.axes:
+        if hard and one.bounds and one.variable != "sp" and not (one.hysteresis or one.min_stay_s):
+            yield Warned(
+                f"the gains follow {one.label}, which has noise, over boundaries without hysteresis: at one of them "
+                "gains are written at every change of side; give hysteresis (more than the noise) or min_stay_s"
             )
     # The first step of the setpoint that moves co further than it can
     room = config.loop.co_max_pct - config.loop.co_min_pct
