@@ -99,17 +99,13 @@ def _at_most(name: str, words: str, value: float, limit: float) -> Check:
 def _absolute(request: ChangeRequest, new: PidGains, s: GuardSettings) -> Iterator[Check]:
     """Limits that somebody set, and the sampling time."""
     old, dt_s = request.in_force, request.sample_time_s
+    kc, tau_i = (abs(new.kp), abs(old.kp)), (_ratio(new.kp, new.ki), _ratio(old.kp, old.ki))
+    tau_d, shortest = (_ratio(new.kd, new.kp), _ratio(old.kd, old.kp)), max(s.tau_i_min_s, s.tau_i_samples * dt_s)
     asked = (
-        ("kc", "kc, at least kc_min", "kc, at most kc_max", (abs(new.kp), abs(old.kp)), s.kc_min or None, s.kc_max),
-        (
-            "tau_i", "tau_I, s, lower limit", "tau_I, s, upper limit",
-            (_ratio(new.kp, new.ki), _ratio(old.kp, old.ki)), max(s.tau_i_min_s, s.tau_i_samples * dt_s), s.tau_i_max_s,
-        ),
-        (
-            "tau_d", "tau_D, s, lower limit", "tau_D, s, upper limit",
-            (_ratio(new.kd, new.kp), _ratio(old.kd, old.kp)), s.tau_d_samples * dt_s, s.tau_d_max_s,
-        ),
-    )  # fmt: skip
+        ("kc", "kc, at least kc_min", "kc, at most kc_max", kc, s.kc_min or None, s.kc_max),
+        ("tau_i", "tau_I, s, lower limit", "tau_I, s, upper limit", tau_i, shortest, s.tau_i_max_s),
+        ("tau_d", "tau_D, s, lower limit", "tau_D, s, upper limit", tau_d, s.tau_d_samples * dt_s, s.tau_d_max_s),
+    )
     for name, lower, upper, (value, in_force), least, most in asked:
         if math.isnan(value):
             continue

@@ -24,8 +24,10 @@ def _bound(what: str, default: float = math.inf) -> float:
 
 
 GENERAL = ("step_up_max", "step_down_max")
-_OF_PI = ("kc_up_max", "kc_down_max", "tau_i_shorter_max", "tau_i_longer_max")
-OWN = (*_OF_PI, "tau_d_up_max", "tau_d_down_max", "integral_up_max", "integral_down_max")
+OWN = (
+    "kc_up_max", "kc_down_max", "tau_i_shorter_max", "tau_i_longer_max", "tau_d_up_max", "tau_d_down_max",
+    "integral_up_max", "integral_down_max",
+)  # fmt: skip
 """Limits on the size of one change: of all parameters, and a parameter's own, None for the general one."""
 
 

@@ -31,17 +31,7 @@ class TrialPhase(StrEnum):
 
 
 class TrialEvent(StrEnum):
-    """Everything that can happen to a change; the value is the clause that people read.
-
-    Attributes
-    ----------
-    PROPOSED, URGENT, ORDERED, WRITTEN, NOT_WRITTEN : its way to the controller.
-    GOOD, AS_PROMISED, INCONCLUSIVE, WORSE : how a response was judged. PASSED, PASSED_FOR_APPROVAL, UNDECIDED,
-        UNDECIDED_FOR_APPROVAL, TIMED_OUT : how it ended. LEFT, ENTERED, WATCHED, STAYS, ENSURED : where it stands.
-    RUNAWAY, SATURATED, MANUAL, GAP, LOST_TELEMETRY, LINK_LOST, LEASE_LOST, RESTARTED, DEVICE_REVERTED, DEVICE_STOPPED,
-        ACTION_TURNED, OPERATOR_EDIT, WRITE_UNKNOWN, LEFT_INTERPOLATED, STOPPED : what breaks it off.
-    ORDERED_BACK, APPROVED, UNLOCKED : what an operator said. RESTORED, COOLED, TOO_MANY_UNDOS : after a rollback.
-    """
+    """Everything that can happen to a change; the value is the clause that people read."""
 
     PROPOSED = "a change is to be written"
     URGENT = "an urgent change towards stability is to be written"

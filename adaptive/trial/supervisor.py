@@ -141,9 +141,9 @@ class TrialSupervisor:
         """
         if not self.may_change(region, t_s, urgent=urgent, ordered=ordered):
             raise ValueError(f"region {region} may not be changed now: {self.phase(region)}")
-        was, begun = self.of(region), Trial(old=old, new=new, prediction=prediction, since_s=t_s)
-        lasting = replace(begun, rollbacks=was.rollbacks, edits=was.edits, until_s=was.until_s, earlier=was.earlier)
-        self._trials[region] = replace(lasting, phase=was.phase)
+        was = self.of(region)
+        begun = Trial(was.phase, old, new, prediction, since_s=t_s, rollbacks=was.rollbacks, edits=was.edits)
+        self._trials[region] = replace(begun, until_s=was.until_s, earlier=was.earlier)
         self._move(region, _asked(urgent, ordered), t_s)
 
     def written(self, region: int, gains: PidGains, t_s: float) -> bool:
