@@ -198,7 +198,7 @@ def _walk(windows: Sequence[Window], gains: PidGains | None, direction: int, set
         seen = tuple(with_smoothing(one, direction, None, settings.smooths)[0] for one in coarser)
     valve = log_odds_of_valve(seen, direction)
     slips = [WEIGHT * log_odds_of_slips(Prepared.at(w, w.sample_time_s), direction) for w in windows if valve < SEEN]
-    if max(slips, default=0.0) > 0.0:
+    if max(slips, default=UNSEEN) > UNSEEN:
         valve = max(valve, sum(max(one, UNSEEN) for one in slips))
     longest = max(range(len(records)), key=lambda i: len(records[i].pv))
     along = gain_along_pv(records, direction, found.powers)

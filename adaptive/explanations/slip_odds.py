@@ -57,7 +57,7 @@ EVEN, LEAST = 0.05, 1e-9
 
 
 def log_odds_of_slips(record: Prepared, direction: int) -> float:
-    """Tempered logarithm of the Bayes factor of a valve with slips of its own; -inf where none is likelier.
+    """Tempered logarithm of the Bayes factor of a valve with slips of its own; -inf where none is nearly as likely.
 
     direction : sign of the process gain.
     """
@@ -81,7 +81,7 @@ def log_odds_of_slips(record: Prepared, direction: int) -> float:
     (own,) = given.on_grid(record.co[None])
     walk = given.nearest(record.co, own)
     by_co = max(T_SETPOINT * walk.told, given.with_jumps(record.co, (walk, *own)).told)
-    return (told - by_co) / TEMPER if told > by_co else -math.inf
+    return (told - by_co) / TEMPER
 
 
 def alone(record: Prepared, direction: int) -> float:

@@ -71,8 +71,9 @@ SCREENED, CLOSER_LOADS, CLOSER, CLOSELY = 2, 4, 2, 2
 """Likeliest loads under which all valves are compared, and those likeliest; starts of a search between the points of
 the grid, and likeliest valves of each kind that have one."""
 IN_QUESTION = -1.0
-"""ln Bayes factor from which a valve is compared more closely: on the grid, and beside the nearest linear loop. Not
-where the grid speaks against one: behind a lag of half a sample any dead time fits, and co gains by that as well."""
+"""ln Bayes factor on the grid from which a valve is compared more closely. Not where the grid speaks against one:
+behind a lag of half a sample any dead time fits, and co gains by that too. Both sides are compared so, or neither:
+co's nearest process beside the grid's of a valve took e^0.7 to e^1.5 from valves that a tenth more had shown."""
 STARTS = (-1.0, -0.5, 0.0, 0.5, 1.0)  # Where a valve that another record shows may stand first
 LAGS = (1.0, 3.0, 7.0, 15.0, 33.0, 80.0, math.inf)
 LATEST = 40.0  # dead time, samples: a slip that comes later than so is as likely to meet a jump of the load by chance
@@ -294,40 +295,38 @@ def _compared(record: Prepared, direction: int, tone: ToneColumns) -> _Compared 
     sides = [given.screened(rows, OCTAVES, DEAD_TIMES).max(axis=1) for rows in (co[None], moved[0][1])]
     by_load = np.maximum(*(side - side.max() for side in sides))  # either side is compared under its own likeliest ones
     given = replace(given, loads=[OCTAVES[i] for i in np.argsort(-by_load, kind="stable")[:CLOSER_LOADS]])
-    (own,), each, likeliest = given.on_grid(co[None]), [], []
+    (own,), each, likeliest, leads = given.on_grid(co[None]), [], [], []
+    screened_co = float(given.screened(co[None], given.loads[:SCREENED], EVERY_DEAD).max())
     for valves, (which, rows) in zip(KINDS, moved, strict=True):
         screened = given.screened(rows, given.loads[:SCREENED], EVERY_DEAD).max(axis=0)
-        first = np.argsort(-screened, kind="stable")[:LIKELIEST]
+        order = np.argsort(-screened, kind="stable")
+        leads.append(screened[order] - screened_co)
+        first = order[:LIKELIEST]
         by_grid = sorted(zip(first, given.on_grid(rows[first]), strict=True), key=lambda one: -one[1][0].told)
         each.append([(rows[i], starts, 0.0) for i, starts in by_grid])
         best = [valves[which[i]] for i, _ in by_grid]
         likeliest.append([(family, travel * band, jump, start) for family, band, jump, start in best])
-    among, free = [len(which) for which, _ in moved], own[0].told
-    on_grid = odds = _odds(free, [[starts[0].told for _, starts, _ in kind] for kind in each], among)
-    walk = own[0]
-    if odds > IN_QUESTION:
+    among, free, walk = [len(which) for which, _ in moved], own[0].told, own[0]
+    by, told = free, [[starts[0].told for _, starts, _ in kind] for kind in each]
+    on_grid = _odds(by, told, among, leads)
+    if _odds(by, told, among) > IN_QUESTION:
         walk = given.near(co, own[0])
         finer = given.finer((walk, *(starts[0] for kind in each for _, starts, _ in kind[:CLOSELY])))
         each[1] = sorted([*finer, *each[1]], key=lambda one: -one[1][0].told - one[2])
-        told = [[starts[0].told + more for _, starts, more in kind] for kind in each]
-        odds = _odds(walk.told, told, among)
-    if odds > IN_QUESTION:
         walk = given.nearest(co, own, walk)
-        odds = _odds(walk.told, told, among)
-    if odds > IN_QUESTION:
         near = [[(*one, given.nearest(*one[:2])) for one in kind[:CLOSELY]] for kind in each]
-        odds = _odds(walk.told, [[one.told + more for *_, more, one in kind] for kind in near], among)
-        if odds > 0.0 and not len(tone.columns):  # free jumps of a load explain what the slips of a valve do
-            least = max(one.told + more for kind in near for *_, more, one in kind) - BEHIND
+        by, told = walk.told, [[one.told + more for *_, more, one in kind] for kind in near]
+        if _odds(by, told, among) > 0.0 and not len(tone.columns):  # free jumps of a load explain what slips do
+            least = max(one for of in told for one in of) - BEHIND
             near = [[one for one in kind if one[-1].told + one[2] >= least] for kind in near]
             by_co = given.with_jumps(co, (walk, *own))
             half = partial(_in_half, temper=given.temper_of(by_co))
-            jumping = [
+            told = [
                 [half(one, given.with_jumps(row, (one, *starts)).told) + more for row, starts, more, one in kind]
                 for kind in near
             ]
-            odds = _odds(half(walk, by_co.told), jumping, among)
-    return _Compared(given, free, odds, on_grid, likeliest, among)
+            by = half(walk, by_co.told)
+    return _Compared(given, free, _odds(by, told, among, leads), on_grid, likeliest, among)
 
 
 def _in_half(walk: Nearest, told: float, temper: float) -> float:
@@ -338,10 +337,21 @@ def _in_half(walk: Nearest, told: float, temper: float) -> float:
     return walk.told + float(np.logaddexp(0.0, (told - T_SETPOINT * walk.told) / temper)) - math.log(2.0)
 
 
-def _odds(free: float, told: Sequence[Sequence[float]], among: Sequence[int]) -> float:
-    """ln Bayes factor of a valve, tempered. told : of the likeliest of each kind, out of so many."""
-    each = [one - math.log(many * len(among)) for of, many in zip(told, among, strict=True) for one in of]
-    return float(np.logaddexp.reduce(each)) - free
+def _odds(
+    by_co: float, told: Sequence[Sequence[float]], among: Sequence[int], leads: Sequence[FloatArray] = ()
+) -> float:
+    """ln Bayes factor of a valve, tempered. told : of the likeliest of each kind, out of so many.
+
+    leads : of all valves of each kind over co as they were screened, the likeliest first. Those that were not compared
+    closely keep behind the likeliest, and speak for no valve. Without them a record that shows none spoke against every
+    one (ln B -1.5 to -2.9 where all valves are as likely as co).
+    """
+    each = [one - by_co - math.log(many * len(among)) for of, many in zip(told, among, strict=True) for one in of]
+    for of, many, lead in zip(told, among, leads, strict=False):
+        if of:
+            rest = np.minimum(lead[len(of) :] + min(max(of) - by_co - float(lead[0]), 0.0), 0.0)
+            each += (rest - math.log(many * len(among))).tolist()
+    return float(np.logaddexp.reduce(each))
 
 
 def log_mean(values: FloatArray) -> float:

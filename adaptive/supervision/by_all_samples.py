@@ -452,7 +452,8 @@ def _proved_by_all_samples(found: Findings, own: Outcome, seen: AllSamples) -> O
         return None
     record, settings, region = found.record, found.settings, found.record.region
     less = told.leans < 0
-    if valve_explains_more(look.window, book, MOST_VALVE if told.numbers.book_high >= settings.book.less_odds else 0.0):
+    tight = told.numbers.book_high >= settings.book.less_odds
+    if valve_explains_more(look.window, book, MOST_VALVE if tight else BY_CHANCE):
         return None
     also = () if less else _by_responses(found, seen, told.numbers)
     if also is None:
@@ -510,5 +511,6 @@ def _cause_of(
     return cause, better, f"more {up} with less {down}"
 
 
-MOST_VALVE, MOST_SURE = 1.5, 0.97
-"""Tempered logarithm of the odds of a valve from which not even a lower Ms is sought; no cause is told surer."""
+MOST_VALVE, BY_CHANCE, MOST_SURE = 1.5, 0.5, 0.97
+"""Tempered logarithm of the odds of a valve from which not even a lower Ms is sought, and up to which samples that show
+none may speak for one; no cause is told surer."""

@@ -122,6 +122,15 @@ def test_records_of_the_same_sticking_valve_are_surer_than_one() -> None:
 
 
 @pytest.mark.slow
+def test_a_tenth_less_of_a_record_leaves_its_cause() -> None:
+    """Its end shows most of the valve, and what is left spoke against every one: stiction fell from 75 to 35 %."""
+    window = recorded("FIC31102_0628_1.csv")
+    n = len(window.t_s)
+    for part in (slice(n // 10, None), slice(n - n // 10)):
+        assert diagnose_windows([window.part(part)]).cause == Cause.STICTION
+
+
+@pytest.mark.slow
 def test_a_record_of_a_test_in_manual_adds_to_the_odds() -> None:
     window = loop(0.3, seed=9)
     n = 400

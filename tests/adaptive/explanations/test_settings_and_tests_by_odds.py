@@ -162,6 +162,14 @@ def test_a_setpoint_step_far_over_the_noise_makes_no_valve_of_a_dead_time_betwee
     assert log_odds_of_valve([Prepared(pv - pv[0], co - co[0], 0.0, 10.0)], 1) < -5.0
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_record_that_shows_no_process_speaks_neither_for_nor_against_a_valve(seed: int) -> None:
+    """Only the likeliest few of 260 valves were counted: ln B was -1.1 to -4 where each is as likely as none."""
+    rng, n = np.random.default_rng(seed), 400
+    pv, co = (np.cumsum(rng.standard_normal(n)) for _ in range(2))
+    assert abs(log_odds_of_valve([Prepared(pv - pv[0], co - co[0], 0.0, 1.0)], 1)) < 0.5
+
+
 def test_a_valve_that_never_moves_is_no_valve() -> None:
     record = Prepared(np.random.default_rng(1).standard_normal(100), np.zeros(100), 0.0, 1.0)
     assert log_odds_of_valve([record], 1) == 0.0
