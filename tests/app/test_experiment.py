@@ -29,7 +29,7 @@ from retuner.drivers.device import Bench
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.errors import LedgerError
 from retuner.experiment.findings import ExperimentQuestion, evaluate
-from retuner.experiment.on_demand import OnDemandExperiment, SettingsWriter
+from retuner.experiment.on_demand import OnDemandExperiment, write_settings
 from retuner.experiment.runner import ExperimentRunner
 from retuner.ledger import Ledger, LedgerReader
 from retuner.session.assembly import link_settings, virtual_device_settings
@@ -355,8 +355,7 @@ class Kept(list[str]):
 
 def test_a_write_on_another_base_than_shown_is_refused(connected: tuple[Bench, PidGains]) -> None:
     (bench, base), kept = connected, Kept()
-    writer = SettingsWriter(bench, 0.1, kept)
-    reason = writer.write(PidGains(5.0, 1.0), PidGains(base.kp * 2, base.ki))
+    reason = write_settings(bench, 0.1, kept, PidGains(5.0, 1.0), PidGains(base.kp * 2, base.ki))
     assert "have changed since these settings were shown" in reason
     assert kept == ["refused"]
     assert bench.device.running.gains == base
@@ -364,8 +363,7 @@ def test_a_write_on_another_base_than_shown_is_refused(connected: tuple[Bench, P
 
 def test_a_set_outside_the_box_is_refused_by_the_controller_and_told(connected: tuple[Bench, PidGains]) -> None:
     (bench, base), kept = connected, Kept()
-    writer = SettingsWriter(bench, 0.1, kept)
-    assert writer.write(PidGains(-5.0, -1.0), base)
+    assert write_settings(bench, 0.1, kept, PidGains(-5.0, -1.0), base)
     assert kept == ["intent", "refused"]
     assert bench.device.running.gains == base
 
@@ -379,9 +377,8 @@ def test_ctrl_c_during_a_write_is_heard_after_its_end(connected: tuple[Bench, Pi
             raise KeyboardInterrupt
         return bench.turn()
 
-    writer = SettingsWriter(Bench(bench.device, turn, bench.silent_s), 0.1, kept)
     with pytest.raises(KeyboardInterrupt):
-        writer.write(PidGains(5.0, 1.0), base)
+        write_settings(Bench(bench.device, turn, bench.silent_s), 0.1, kept, PidGains(5.0, 1.0), base)
     assert kept == ["intent", "committed"]
     assert bench.device.running.gains == PidGains(5.0, 1.0)
 

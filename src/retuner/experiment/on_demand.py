@@ -104,83 +104,66 @@ CONFIRM_SAMPLES = 15
 """Samples for which a set that runs is watched: the host confirms it in this time, or the controller takes it back."""
 
 
-class SettingsWriter:
-    """Writes one gain set.
+def write_settings(bench: Bench, sample_time_s: float, record: Recorder, gains: PidGains, base: PidGains) -> str:
+    """Write one gain set and wait for the read-back; empty when it runs and stays, else one line that says why not.
 
     bench : the controller. sample_time_s : its sample time. record : keeps rows for good, before they take effect.
+    gains : confirmed by a person. base : the set that ran when they were shown.
+
+    Raises KeyboardInterrupt: the user stopped it meanwhile; the write went to its end first.
     """
+    device, patience_s = bench.device, restore_patience_s(sample_time_s, bench.silent_s)
+    stopped, now_s = False, 0.0
 
-    def __init__(self, bench: Bench, sample_time_s: float, record: Recorder) -> None:
-        self._bench, self._dt_s, self._to_ledger = bench, sample_time_s, record
-        self._patience_s = restore_patience_s(sample_time_s, bench.silent_s)
-        self._stopped = self._running = False
-        self._now_s, self._seq = 0.0, -1
-
-    def write(self, gains: PidGains, base: PidGains) -> str:
-        """Write and wait for the read-back; empty when the set runs and stays, else one line that says why not.
-
-        gains : confirmed by a person. base : the set that ran when they were shown.
-
-        Raises KeyboardInterrupt: the user stopped it meanwhile; the write went to its end first.
-        """
-        reason = self._begin(gains, base) or self._finish()
-        if reason:
-            self._to_ledger("refused", self._now_s, {"why": "experiment", "reason": reason})
-        if self._stopped:
-            raise KeyboardInterrupt
-        return reason
-
-    def _poll(self) -> list[Event]:
+    def poll() -> list[Event]:
+        nonlocal stopped, now_s
         try:
-            self._now_s = self._bench.turn()
+            now_s = bench.turn()
         except KeyboardInterrupt:
-            self._stopped = True
+            stopped = True
         with unstoppable():
-            return self._bench.device.poll(self._now_s)
+            return device.poll(now_s)
 
-    def _begin(self, gains: PidGains, base: PidGains) -> str:
-        device = self._bench.device
-        self._poll()
-        patience_s = self._now_s + self._patience_s
-        while self._now_s < patience_s:
+    def written() -> str:
+        # until the controller answers: what is meant is recorded, then begun
+        poll()
+        until_s, seq = now_s + patience_s, -1
+        while now_s < until_s:
             running = device.running
             if device.connected and running is not None and not device.writing:
-                if running.gains != base:
-                    return "the active gains have changed since these settings were shown"
-                self._to_ledger(
-                    "intent",
-                    self._now_s,
-                    {"why": "experiment", "gains": gains_dict(gains), "base": running.seq, "before": gains_dict(base)},
-                )
-                try:
-                    self._seq = device.begin_write(gains, self._now_s)
-                except WriteRefusedError as refusal:
-                    return str(refusal)
-                return ""
-            self._poll()
-        return "the controller does not answer; nothing was written"
-
-    def _finish(self) -> str:
-        """Until the set has been read back as running, and has been watched for a while."""
-        patience_s = self._now_s + self._patience_s
-        while self._now_s < patience_s:
-            for event in self._poll():
+                break
+            poll()
+        else:
+            return "the controller does not answer; nothing was written"
+        if running.gains != base:
+            return "the active gains have changed since these settings were shown"
+        what = {"gains": gains_dict(gains), "base": running.seq, "before": gains_dict(base)}
+        record("intent", now_s, {"why": "experiment", **what})
+        try:
+            seq = device.begin_write(gains, now_s)
+        except WriteRefusedError as refusal:
+            return str(refusal)
+        # until the set has been read back as running, and has been watched for a while
+        until_s, runs = now_s + patience_s, False
+        while now_s < until_s:
+            for event in poll():
                 match event:
-                    case WriteFailed() if event.seq == self._seq:
+                    case WriteFailed() if event.seq == seq:
                         return event.reason
                     case Reverted():
                         return "the controller returned to its confirmed gains"
-                    case WriteDone() if event.seq == self._seq:
-                        body = {
-                            "why": "experiment",
-                            "sequence": event.seq,
-                            "gains": gains_dict(event.gains),
-                            "crc": event.running.crc,
-                        }
-                        self._to_ledger("committed", self._now_s, body)
-                        patience_s = self._now_s + CONFIRM_SAMPLES * self._dt_s
-                        self._running = True
-        return "" if self._running else "the controller does not answer; which set runs is not known"
+                    case WriteDone() if event.seq == seq:
+                        read_back = {"sequence": seq, "gains": gains_dict(event.gains), "crc": event.running.crc}
+                        record("committed", now_s, {"why": "experiment", **read_back})
+                        until_s, runs = now_s + CONFIRM_SAMPLES * sample_time_s, True
+        return "" if runs else "the controller does not answer; which set runs is not known"
+
+    reason = written()
+    if reason:
+        record("refused", now_s, {"why": "experiment", "reason": reason})
+    if stopped:
+        raise KeyboardInterrupt
+    return reason
 
 
 INTERRUPTED = 130  # exit status after Ctrl-C, as shells have it
@@ -258,8 +241,8 @@ class OnDemandExperiment:
             assert outcome.found is not None
             assert outcome.found.chosen is not None
             assert runner.before is not None
-            writer = SettingsWriter(self._bench, self._config.loop.sample_time_s, self._to_ledger)
-            outcome.written = writer.write(outcome.found.chosen.tuning.gains, runner.before.gains)
+            gains, dt_s = outcome.found.chosen.tuning.gains, self._config.loop.sample_time_s
+            outcome.written = write_settings(self._bench, dt_s, self._to_ledger, gains, runner.before.gains)
             done = "written, read back and running; put them into the configuration to keep them"
             self._screen.say(f"NOT written: {outcome.written}" if outcome.written else done)
             with unstoppable():

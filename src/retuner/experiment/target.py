@@ -89,7 +89,12 @@ class Helm:
 
     def shows(self, wanted: Target, sample: LoopSample) -> bool:
         """Whether telemetry and the read-back of the gains show the target."""
-        return self._shows_mode(wanted, sample) and self._shows_sp(wanted, sample) and self._shows_gains(wanted)
+        if not (self._shows_mode(wanted, sample) and self._shows_sp(wanted, sample)):
+            return False
+        running, able = self._device.running, self._device.connected and not self._device.writing
+        if wanted.gains is None:
+            return True
+        return running is not None and able and change_factor(running.gains, wanted.gains) <= SAME_GAINS
 
     def differs(self, wanted: Target, sample: LoopSample) -> str:
         """Words for mode or setpoint where they are not the target's, empty when they are right."""
@@ -104,14 +109,6 @@ class Helm:
 
     def _shows_sp(self, wanted: Target, sample: LoopSample) -> bool:
         return wanted.sp is None or abs(sample.sp - wanted.sp) <= SAME_SP * max(abs(wanted.sp), 1.0)
-
-    def _shows_gains(self, wanted: Target) -> bool:
-        if wanted.gains is None:
-            return True
-        running = self._device.running
-        if running is None or self._device.writing or not self._device.connected:
-            return False
-        return change_factor(running.gains, wanted.gains) <= SAME_GAINS
 
     def steer(self, wanted: Target, sample: LoopSample | None, now_s: float, *, insist: bool) -> str:
         """Send what is not shown; why it was refused, empty when it was not.
