@@ -12,31 +12,25 @@ from retuner.schedule.vendor_units import VendorUnits
 Record = Callable[[str, float, Mapping[str, object]], None]  # what keeps a row for good: its kind, the time, the body
 
 
-class OrderOfWrites:
-    """See the head of this file.
+def order_of_writes(
+    retuner: Retuner, units: VendorUnits, record: Record, now: Callable[[], float], *, unproved: bool
+) -> Callable[[Mapping[str, float], Mapping[str, float], bool], tuple[int, ...]]:
+    """What chooses the messages in their order, from the set that runs to the one that shall, and whether it is the way
+    back. It raises WriteRefusedError: no order is proved, and this is neither the way back nor accepted by the user.
 
     retuner : what is known of the process. units : how the controller keeps gains. record : keeps rows for good.
     now : time of the newest sample. unproved : the user accepts an order that no model proves.
     """
 
-    def __init__(
-        self, retuner: Retuner, units: VendorUnits, record: Record, now: Callable[[], float], *, unproved: bool
-    ) -> None:
-        self._retuner, self._units, self._record, self._now, self._unproved = retuner, units, record, now, unproved
-
-    def __call__(self, old: Mapping[str, float], new: Mapping[str, float], back: bool) -> tuple[int, ...]:
-        """The messages in their order.
-
-        Raises WriteRefusedError: no order is proved, and this is neither the way back nor accepted by the user.
-        """
-        ways, s = list(self._units.ways(old, new)), self._retuner.settings
-        region, proved = self._retuner.region, None
-        known = None if region is None else self._retuner.region_models.get(region)
+    def chosen_way(old: Mapping[str, float], new: Mapping[str, float], back: bool) -> tuple[int, ...]:
+        ways, s = list(units.ways(old, new)), retuner.settings
+        region, proved = retuner.region, None
+        known = None if region is None else retuner.region_models.get(region)
         if region is not None:
-            models = () if known is None else still_allowed(known, self._now(), s)
-            ends = self._units.of(old), self._units.of(new)
+            models = () if known is None else still_allowed(known, now(), s)
+            ends = units.of(old), units.of(new)
             proved = proved_way(ways, ends, models, s.sample_time_s, s.guard.ms_worst, s.filter_s)
-        chosen = proved or (gentlest_way(ways) if back or self._unproved else None)
+        chosen = proved or (gentlest_way(ways) if back or unproved else None)
         if chosen is None and known is not None:
             raise WriteRefusedError(
                 f"the controller takes the gains in several messages; in none of {len(ways)} orders is every step "
@@ -52,5 +46,7 @@ class OrderOfWrites:
             "proved": proved is not None,
             "ms_between": None if math.isnan(chosen.ms_worst) else chosen.ms_worst,
         }
-        self._record("order_of_writes", self._now(), body)
+        record("order_of_writes", now(), body)
         return chosen.messages
+
+    return chosen_way

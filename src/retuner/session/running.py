@@ -19,7 +19,7 @@ from retuner.config import Config
 from retuner.config.foreign import UNPROVED_ORDER
 from retuner.config.session_config import SessionConfig
 from retuner.decisions.decider import DecideHere, Decider
-from retuner.decisions.recorded_write_order import OrderOfWrites
+from retuner.decisions.recorded_write_order import order_of_writes
 from retuner.decisions.warm_up import warm_up
 from retuner.decisions.worker import DecisionWorkers
 from retuner.drivers.bus.link_settings import FramePort
@@ -122,7 +122,7 @@ class _RunningLoop:
         foreign, units = self.config.foreign_device, retuner.settings.units
         if foreign is not None and units is not None and not isinstance(device, CanDevice):
             accepted = UNPROVED_ORDER in foreign.accept
-            device.choose_way = OrderOfWrites(
+            device.choose_way = order_of_writes(
                 retuner, units, self.record, lambda: session.writer.t_s, unproved=accepted
             )
             if not accepted and retuner.table.lookup is Lookup.HARD:
@@ -131,12 +131,12 @@ class _RunningLoop:
         bumps = LoopBumps(BumpSettings(**self.config.adaptation.bumps.model_dump()), retuner, hour_of)
 
         def rows_before() -> Sequence[Row]:
-            path = self._before / LEDGER if remember and self._before is not None else None
-            if not remember or self._known is not None or path is None or not path.exists():
-                return (self._known or ()) if remember else ()
-            return believed_rows(path)
+            if self._known is not None or self._before is None:
+                return self._known or ()
+            path = self._before / LEDGER
+            return believed_rows(path) if path.exists() else ()
 
-        session.bumps = with_what_was_left(bumps, rows_before, self._say)
+        session.bumps = with_what_was_left(bumps, rows_before if remember else tuple, self._say)
         if remember and self._folder is not None:
             memory = MemoryFile(self._folder, self.config, self.record)
             memory.begin(remembered, why_not)
