@@ -4,7 +4,6 @@ The observer only looks. It costs a few comparisons a sample; Ms is worked out a
 """
 
 import math
-from typing import Protocol
 
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.region_model.update import predicted
@@ -15,18 +14,10 @@ from retuner.adaptive.supervision.decision import Mode
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.decision_page.decision_words import settings_text
-from retuner.drivers.device import RunningSet
+from retuner.drivers.device import Device
 from retuner.schedule.gains import PidGains
 from retuner.schedule.late_dataclass import dataclass
 from retuner.schedule.plain_values import plain_values
-
-
-class RunningController(Protocol):
-    """The controller, as far as it says what it runs."""
-
-    @property
-    def running(self) -> RunningSet | None:
-        """The set in force, None while it is not known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +131,7 @@ class LoopObserver:
     retuner : watches the loop. device : runs the gains.
     """
 
-    def __init__(self, retuner: Retuner, device: RunningController) -> None:
+    def __init__(self, retuner: Retuner, device: Device) -> None:
         self._retuner, self._device = retuner, device
         self._parts: tuple[object, ...] = ()
         self._stands: tuple[object, ...] = ()

@@ -119,30 +119,31 @@ def needs_a_person(session: WatchedSession, loop: WatchedLoop) -> list[Document]
 def loop_document(session: WatchedSession, loop: WatchedLoop) -> Document:
     """A loop with its decisions and what needs a person."""
     mine = [one for one in session.ledger.decisions if _is_of(one, loop)]
+    decisions = []
+    for one in mine[-NEWEST:]:
+        d = one.document
+        ms = part(part(d, "verdict"), "ms")
+        told = {
+            "number": one.number,
+            "t_s": number(d, "t_s"),
+            "region": words(d, "region"),
+            "action": words(d, "action"),
+            "cause": cause_text(d),
+            "reason": one_line(words(d, "reason")),
+            "response": response_text(d),
+            "change": change_text(d) if words(d, "action") != "none" else "",
+            "peaks": part(d, "response").get("peaks", []),
+            "judgement": words(part(d, "judgement"), "reason"),
+            "ms": ms_words(number(ms, "nominal")) if part(d, "verdict").get("ms") else "",
+            "hash": one.hash[:SHORT],
+        }
+        decisions.append(told)
     return {
         **_short(session, loop),
         **plain_values(session.ledger, "rows=count ledger_head=head broken"),
-        "decisions": [_decision(one) for one in mine[-NEWEST:]],
+        "decisions": decisions,
         "trial": _trial(mine),
         "outcome": outcome(session),
-    }
-
-
-def _decision(decided: Decided) -> Document:
-    d = decided.document
-    return {
-        "number": decided.number,
-        "t_s": number(d, "t_s"),
-        "region": words(d, "region"),
-        "action": words(d, "action"),
-        "cause": cause_text(d),
-        "reason": one_line(words(d, "reason")),
-        "response": response_text(d),
-        "change": change_text(d) if words(d, "action") != "none" else "",
-        "peaks": part(d, "response").get("peaks", []),
-        "judgement": words(part(d, "judgement"), "reason"),
-        "ms": ms_words(number(part(part(d, "verdict"), "ms"), "nominal")) if part(d, "verdict").get("ms") else "",
-        "hash": decided.hash[:SHORT],
     }
 
 
