@@ -10,7 +10,7 @@ from retuner.commands.options import ConfigFile, Json
 from retuner.errors import ConfigError
 
 if TYPE_CHECKING:  # slow to load, and `--help` needs none of it
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
 
     from retuner.config.model import Config
     from retuner.schedule.regions import Axis
@@ -75,25 +75,21 @@ def described(config: "Config", model: "Sequence[str]", *, several: bool) -> lis
         plant = config.device.plant
         behind = f"plant {plant.kind}, seed {config.device.seed}" if plant is not None else "a real one"
         lines.append(f"device      {config.device.kind}, {behind}")
-        lines += [f"            {line}" for line in (*model, *_foreign_notes(config))]
+        notes, foreign = list(model), config.foreign_device
+        if foreign is not None:  # what a controller that is not ours cannot do, and how often it can be asked
+            from retuner.config.described import advice_only, make_access
+
+            access = make_access(config, foreign)
+            reason, steps = advice_only(config), config.scenario.steps if config.scenario else []
+            notes += [f"watched only: {reason}"] if reason else []
+            if not access.takes_setpoint and sum(one.sp is not None for one in steps) > 1:
+                notes.append("!! device.setpoint is missing: a step of sp in [scenario] ends the run")
+            polled = getattr(access, "polled", lambda _: "")(config.loop.sample_time_s)
+            notes += [polled] if polled else []
+        lines += [f"            {line}" for line in notes]
     if config.scenario is not None:
         lines.append(f"scenario    {config.scenario.duration_s:g} s, {len(config.scenario.steps)} steps")
     return [*lines, ""] if several else lines
-
-
-def _foreign_notes(config: "Config") -> "Iterator[str]":
-    from retuner.config.described import advice_only, make_access
-
-    foreign = config.foreign_device
-    if foreign is None:
-        return
-    access = make_access(config, foreign)
-    if reason := advice_only(config):
-        yield f"watched only: {reason}"
-    if not access.takes_setpoint and config.scenario and sum(one.sp is not None for one in config.scenario.steps) > 1:
-        yield "!! device.setpoint is missing: a step of sp in [scenario] ends the run"
-    if told := getattr(access, "polled", lambda _: "")(config.loop.sample_time_s):
-        yield told
 
 
 def _axis_text(axis: "Axis") -> str:

@@ -7,9 +7,8 @@ from typing import Annotated
 
 import typer
 
-from retuner.commands.options import ActionOption, Controller, PvSpan, controller_units
+from retuner.commands.options import ActionOption, Controller, PvSpan, controller_units, put_file
 from retuner.errors import UserError, user_input
-from retuner.files import write_whole
 from retuner.gain_export.numbers import c_header, csv_table, dbc_table, identifier, numbers_of, structured_text
 from retuner.schedule.document import from_toml
 from retuner.schedule.table import GainTable
@@ -61,7 +60,7 @@ def export(
             sys.stdout.write(text)
         else:
             target = out or file.with_name(f"{identifier(table.loop)}_gains.{suffix}")
-            _put(target, text)
+            put_file(target, text)
             sys.stdout.write(
                 f"{target} written: {len(table.gains)} set{'s' * (len(table.gains) != 1)}, revision {table.revision}\n"
             )
@@ -71,7 +70,7 @@ def export(
         from retuner.gain_export.gains_into_config import into_config
 
         text, told = into_config(into, table)
-        _put(into, text)
+        put_file(into, text)
         sys.stdout.write(f"{into}: " + ("; ".join(told) or "has these gains already") + "\n")
     return 0
 
@@ -88,10 +87,3 @@ def _read(path: Path) -> GainTable:
         raise UserError(f"{path}: is a configuration; give the gains.toml of a run")
     with user_input(str(path)):
         return from_toml(raw.decode("utf-8"))
-
-
-def _put(path: Path, text: str) -> None:
-    try:
-        write_whole(path, text)
-    except OSError as error:
-        raise UserError(f"{path}: cannot be written: {error.strerror}") from None

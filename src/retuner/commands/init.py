@@ -17,12 +17,12 @@ import numpy as np
 from retuner.adaptive.controller_settings.read_off import settings_in_force
 from retuner.adaptive.indexes.days import days_of
 from retuner.api import identify_record
+from retuner.commands.options import put_file
 from retuner.commands.recorded.recorded_loop import SHARE
 from retuner.commands.signatures import InitOptions
 from retuner.drivers.historian.loop_record import read_loop_record
 from retuner.drivers.recorded.recording import RecordingError
 from retuner.errors import UserError, user_input
-from retuner.files import write_whole
 from retuner.schedule.gains import Form, PidGains, from_form, in_form
 from retuner.templates import profiles, starter
 
@@ -59,10 +59,7 @@ def init(options: InitOptions) -> int:
     else:
         texts = {path: asked(path) if asking else starter(options.profile)}
     for file, text in texts.items():
-        try:
-            write_whole(file, text)
-        except OSError as error:
-            raise UserError(f"{file}: cannot be written: {error.strerror}") from None
+        put_file(file, text)
     sys.stdout.write(f"{path} written. Next: retuner check {path}, then retuner run {path}\n")
     return 0
 

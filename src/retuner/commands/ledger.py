@@ -183,17 +183,13 @@ def _folded(rows: list[Row], lines: list[LedgerLine]) -> list[LedgerLine]:
     found, going = list[LedgerLine](), False
     for row, line in zip(rows, lines, strict=True):
         last = found[-1] if found else None
-        if last is not None and going and _is_step(row) and last.loop == line.loop:
+        step = row.kind in {"bump", "nudge"} and row.body.get("cause") in {"next", "taken"}  # nudge in older ledgers
+        if last is not None and going and step and last.loop == line.loop:
             found[-1] = replace(last, evidence=f"and so on, to row {line.row}")
         else:
             found.append(line)
-        going = _is_step(row)
+        going = step
     return found
-
-
-def _is_step(row: Row) -> bool:
-    """Whether a row is of a bump to and fro on its way; in older ledgers its kind is nudge."""
-    return row.kind in {"bump", "nudge"} and row.body.get("cause") in {"next", "taken"}
 
 
 def _list(lines: list[LedgerLine]) -> str:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 import typer
 
 from retuner.errors import UserError, user_input
+from retuner.files import write_whole
 from retuner.schedule.late_dataclass import dataclass, field, fields, replace
 
 if TYPE_CHECKING:  # slow to load, and most commands have no configuration
@@ -131,6 +132,14 @@ def check_plot(path: Path | None) -> None:
     """Refuse a picture of another kind. Raises UserError: the name ends neither in .png nor in .svg."""
     if path is not None and path.suffix.lower() not in {".png", ".svg"}:
         raise UserError(f"--plot {path}: give a name that ends in .png or .svg")
+
+
+def put_file(path: Path, text: str) -> None:
+    """Write a file that a person has named. Raises UserError: the system refuses."""
+    try:
+        write_whole(path, text)
+    except OSError as error:
+        raise UserError(f"{path}: cannot be written: {error.strerror}") from None
 
 
 def tell(document: Mapping[str, object], lines: Iterable[str], *, as_json: bool) -> None:
