@@ -211,18 +211,16 @@ def window_of(
         return (t if isinstance(t, LoopRecord) else read(t)).recording.window()
     if sp is None or pv is None or co is None:
         raise ValueError("give t, sp, pv and co, or a record of retuner.read")
-    setpoint, value, output = (_reals(name, v) for name, v in (("sp", sp), ("pv", pv), ("co", co)))
-    return in_units(Window(seconds(cast("Times", t)), setpoint, value, output))
-
-
-def _reals(name: str, values: Numbers) -> FloatArray:
-    """A signal as it is measured: numpy would drop an imaginary part, and keep what stands under a mask."""
-    given = np.asanyarray(values)
-    if np.iscomplexobj(given):
-        raise ValueError(f"{name} is complex; give real numbers, as they were measured")
-    reals = given.astype(np.float64)
-    filled = getattr(reals, "filled", None)  # of a masked array; np.ma is loaded by who has one
-    return np.asarray(reals if filled is None else filled(np.nan))
+    # signals as they are measured: numpy would drop an imaginary part, and keep what stands under a mask
+    signals = list[FloatArray]()
+    for name, values in (("sp", sp), ("pv", pv), ("co", co)):
+        given = np.asanyarray(values)
+        if np.iscomplexobj(given):
+            raise ValueError(f"{name} is complex; give real numbers, as they were measured")
+        reals = given.astype(np.float64)
+        filled = getattr(reals, "filled", None)  # of a masked array; np.ma is loaded by who has one
+        signals.append(np.asarray(reals if filled is None else filled(np.nan)))
+    return in_units(Window(seconds(cast("Times", t)), signals[0], signals[1], signals[2]))
 
 
 def identify_record(

@@ -6,6 +6,7 @@ What is shown is never worth more than what it tells of: a screen that fails is 
 import io
 import os
 import sys
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import TextIO
@@ -39,26 +40,24 @@ class LastingStream:
 
     def write(self, text: str) -> int:
         """Write, or not; the number of characters as if it had been."""
-        if not self._lost:
-            try:
-                self._stream.write(text)
-            except OSError as error:
-                self._give_up(error)
+        self._unless_lost(lambda: self._stream.write(text))
         return len(text)
 
     def flush(self) -> None:
         """Flush, or not."""
-        if not self._lost:
-            try:
-                self._stream.flush()
-            except OSError as error:
-                self._give_up(error)
+        self._unless_lost(self._stream.flush)
 
-    def _give_up(self, error: OSError) -> None:
-        self._lost = True
-        with suppress(OSError):  # what is buffered must not fail again when the process ends
-            nowhere = os.open(os.devnull, os.O_WRONLY)
-            os.dup2(nowhere, self._stream.fileno())
-            os.close(nowhere)
-        with suppress(OSError):
-            sys.stderr.write(f"retuner: nothing more can be shown: {error.strerror or error}; the work goes on\n")
+    def _unless_lost(self, do: Callable[[], object]) -> None:
+        if self._lost:
+            return
+        try:
+            do()
+        except OSError as error:
+            self._lost = True
+            with suppress(OSError):  # what is buffered must not fail again when the process ends
+                nowhere = os.open(os.devnull, os.O_WRONLY)
+                os.dup2(nowhere, self._stream.fileno())
+                os.close(nowhere)
+            with suppress(OSError):
+                told = error.strerror or error
+                sys.stderr.write(f"retuner: nothing more can be shown: {told}; the work goes on\n")

@@ -11,10 +11,10 @@ from collections.abc import Iterator
 from contextlib import closing
 from importlib.metadata import version
 from pathlib import Path
-from types import TracebackType
 
 from retuner.audit.catalogue import Task
 from retuner.audit.loop_row import SCHEMA, AuditSettings, Row
+from retuner.drivers.closing import Closes
 from retuner.errors import UserError
 
 NAME = "audit.sqlite"
@@ -26,7 +26,7 @@ def signature(task: Task, settings: AuditSettings) -> str:
     return hashlib.sha256(json.dumps([files, repr(settings), SCHEMA, version("retuner")]).encode()).hexdigest()
 
 
-class ResultStore:
+class ResultStore(Closes):
     """Rows by tag.
 
     folder : of the audit; made where it is not there.
@@ -44,10 +44,8 @@ class ResultStore:
         except (OSError, sqlite3.Error) as error:
             raise UserError(f"{folder / NAME}: {error}; give another folder with --out") from error
 
-    def __enter__(self) -> "ResultStore":
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def close(self) -> None:
+        """Close the file."""
         self._open.close()
 
     def done(self) -> dict[str, str]:

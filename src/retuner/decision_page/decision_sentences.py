@@ -3,7 +3,7 @@
 import math
 
 from retuner.adaptive.guard.guard_settings import GuardSettings
-from retuner.adaptive.loop.margins import Margins, margins
+from retuner.adaptive.loop.margins import margins
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.region_model.update import Agreement
 from retuner.decision_page.decision_view import DecisionView
@@ -172,8 +172,8 @@ def margin_rows(view: DecisionView) -> list[tuple[str, ...]]:
         return []
     columns = [margins(view.process, view.before)]
     if view.tried:
-        found = [margins(model, view.tried) for model in (view.process, *view.allowed)]
-        columns += [found[0], *([max(found, key=lambda one: one.ms)] if view.allowed else [])]
+        tried = [margins(model, view.tried) for model in (view.process, *view.allowed)]
+        columns += [tried[0], *([max(tried, key=lambda one: one.ms)] if view.allowed else [])]
     rows = []
     for label, name, unit, usual in (
         ("Ms", "ms", "", f"at most {ms_limit(view):.3g}"),
@@ -181,15 +181,13 @@ def margin_rows(view: DecisionView) -> list[tuple[str, ...]]:
         ("phase margin", "pm_deg", " deg", "at least 45 deg"),
         ("delay margin", "delay_margin_s", " s", f"more than theta, {view.process.theta_s:.3g} s"),
     ):
-        rows.append((label, *(_margin(one, name, unit) for one in columns), usual))
+        cells = []
+        for found in columns:
+            value: float = getattr(found, name)
+            known = f"{value:.3g}{unit}" if math.isfinite(value) else "no limit"
+            cells.append(known if found.stable else "unstable")
+        rows.append((label, *cells, usual))
     return rows
-
-
-def _margin(found: Margins, name: str, unit: str) -> str:
-    if not found.stable:
-        return "unstable"
-    value: float = getattr(found, name)
-    return f"{value:.3g}{unit}" if math.isfinite(value) else "no limit"
 
 
 def old_name(view: DecisionView) -> str:
