@@ -17,9 +17,9 @@ factor at which nobody would keep two sets. Regions with too few records are nev
 widened by what its records scatter beyond what they claim, chi2/(2 (n - 1)) where that is more than 1 (Birge 1932). On
 a map of two axes a boundary runs through all rows or columns, and so does the proposal.
 
-Whether a region's process suits one set is asked by proposed_boundaries.py; a person takes its proposal up with
-`retuner approve`. No boundary is moved on line: schedule_choice/boundaries_of_one_variable.py and
-boundaries_of_two_variables.py lay all of them out anew from records, for `retuner schedule`.
+Whether a region's process suits one set is asked by proposed_boundaries.py; both are told at the end of a run
+(left_by_run.py), and a person takes that one up with `retuner approve`. No boundary is moved on line:
+schedule_choice/boundaries_of_{one_variable,two_variables}.py lay all of them out anew, for `retuner schedule`.
 
 Pure: region models in, advice out; nothing is changed.
 """

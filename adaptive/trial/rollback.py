@@ -1,6 +1,6 @@
 """Which of the sets that ran is to run from now on, where a trial ends otherwise than by a response that confirms it.
 
-What ends it: a response (judge.py), or samples that run away (diverging_trial.py).
+What ends it: a response (judge.py), or samples that run away (diverging_trial.py); supervisor.py puts both here.
 
     expected(set) = sum_m P(m | seen) loss(set, m)  +  P(something else | seen) chance(set)
 
