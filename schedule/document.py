@@ -16,7 +16,6 @@ import re
 import sys
 import tomllib
 from collections import Counter
-from collections.abc import Iterator
 
 from retuner.schedule.gains import Form, PidGains, to_ideal
 from retuner.schedule.regions import CAN, Axis, Regions
@@ -146,42 +145,34 @@ def to_toml(table: GainTable, co: str = PERCENT) -> str:
         f"lookup = {_quoted(table.lookup)}  # {' or '.join(Lookup)}",
     ]
     for axis in regions.axes:
-        lines += ["", "[schedule]" if simple else "[[axis]]", *_axis_lines(axis, simple=simple)]
+        lines += [
+            "",
+            "[schedule]" if simple else "[[axis]]",
+            f"variable = {_quoted(axis.variable)}",
+            *([f"signal = {_quoted(axis.signal)}"] if axis.variable == CAN else []),
+            f"unit = {_quoted(axis.unit)}",
+            f"low = {_number(axis.low)}",
+            f"bounds = [{', '.join(map(_number, axis.bounds))}]",
+            f"high = {_number(axis.high)}",
+            f"hysteresis = {_number(axis.hysteresis)}  # each way, in unit",
+            f"min_stay_s = {_number(axis.min_stay_s)}",
+            *([] if simple else [f"filter_s = {_number(axis.filter_s)}"]),
+        ]
     for i, gains in enumerate(table.gains):
-        lines += ["", *_region_lines(regions, i, gains)]
+        lines += ["", f"[[region]]  # {regions.text(i)}", f"name = {_quoted(regions.names[i])}"]
+        if len(regions.axes) > 1:
+            lines.append(f"cell = [{', '.join(str(place + 1) for place in regions.cell(i))}]")
+        lines += [f"{key} = {_number(getattr(gains, key))}" for key in ("kp", "ki", "kd")]
+        # the form is last, because it must be there: a file cut within a number is refused
+        lines.append(f"form = {_quoted(Form.PARALLEL)}")
+        try:
+            ideal = to_ideal(gains)
+        except ValueError:
+            lines.append("# no ideal form")
+        else:
+            tau_i = "no integral action" if ideal.tau_i_s is None else f"tau_i = {ideal.tau_i_s:.4g} s"
+            lines.append(f"# ideal form: kc = {ideal.kc:.4g}, {tau_i}, tau_d = {ideal.tau_d_s:.4g} s")
     return HEAD.format(co=co) + "\n".join(lines) + "\n"
-
-
-def _axis_lines(axis: Axis, *, simple: bool) -> Iterator[str]:
-    """One axis; simple: as [schedule]."""
-    yield f"variable = {_quoted(axis.variable)}"
-    if axis.variable == CAN:
-        yield f"signal = {_quoted(axis.signal)}"
-    yield f"unit = {_quoted(axis.unit)}"
-    yield f"low = {_number(axis.low)}"
-    yield f"bounds = [{', '.join(_number(bound) for bound in axis.bounds)}]"
-    yield f"high = {_number(axis.high)}"
-    yield f"hysteresis = {_number(axis.hysteresis)}  # each way, in unit"
-    yield f"min_stay_s = {_number(axis.min_stay_s)}"
-    if not simple:
-        yield f"filter_s = {_number(axis.filter_s)}"
-
-
-def _region_lines(regions: Regions, i: int, gains: PidGains) -> Iterator[str]:
-    yield f"[[region]]  # {regions.text(i)}"
-    yield f"name = {_quoted(regions.names[i])}"
-    if len(regions.axes) > 1:
-        yield f"cell = [{', '.join(str(place + 1) for place in regions.cell(i))}]"
-    for key in ("kp", "ki", "kd"):
-        yield f"{key} = {_number(getattr(gains, key))}"
-    yield f"form = {_quoted(Form.PARALLEL)}"  # last, because it must be there: a file cut within a number is refused
-    try:
-        ideal = to_ideal(gains)
-    except ValueError:
-        yield "# no ideal form"
-    else:
-        tau_i = "no integral action" if ideal.tau_i_s is None else f"tau_i = {ideal.tau_i_s:.4g} s"
-        yield f"# ideal form: kc = {ideal.kc:.4g}, {tau_i}, tau_d = {ideal.tau_d_s:.4g} s"
 
 
 def _number(value: float) -> str:

@@ -15,6 +15,7 @@ are for comparison.
 
 import math
 from enum import StrEnum
+from itertools import pairwise
 
 import numpy as np
 
@@ -380,25 +381,9 @@ def swing(window: Window) -> Swing:
     """Read period and decay off a record. Raises ValueError: pv does not swing, or for fewer than three periods."""
     # The level about which pv swings: the mean of the last half, where a start has died out
     level = float(np.mean(window.pv[len(window.pv) // 2 :]))
-    times, spans = _upward(window.t_s, window.pv - level)
-    periods = np.diff(np.array(times))
-    heights = np.array([float(np.ptp(window.pv[a:b])) / 2 for a, b in spans])
-    whole = heights > 2 * CLEAR_MOVE_STDS * noise_sigma(window.pv)  # a swing in the noise shows no period any more
-    last = len(whole) if np.all(whole) else int(np.argmin(whole))
-    periods, heights = periods[:last], heights[:last]
-    if last < FEWEST_PERIODS:
-        raise ValueError(
-            f"pv oscillates for {last} periods beyond its noise, and {FEWEST_PERIODS} are needed: record "
-            "longer, or raise the gain"
-        )
-    decay = float((heights[-1] / heights[0]) ** (1 / (len(heights) - 1)))
-    return Swing(float(np.mean(periods)), float(np.std(periods)), float(np.mean(heights)), decay, len(periods))
-
-
-def _upward(t_s: FloatArray, y: FloatArray) -> tuple[list[float], list[tuple[int, int]]]:
-    """Times of upward crossings of zero (interpolated), and the samples between each two."""
+    t_s, y = window.t_s, window.pv - level
     band = CLEAR_MOVE_STDS * noise_sigma(y)
-    times, indices = [], []
+    times, indices = [], []  # of upward crossings of zero, the times interpolated
     armed = False
     for i in range(1, len(y)):
         if y[i] < -band or (band == 0 and y[i] < 0):
@@ -409,4 +394,15 @@ def _upward(t_s: FloatArray, y: FloatArray) -> tuple[list[float], list[tuple[int
             times.append(float(t_s[j - 1] + share * (t_s[j] - t_s[j - 1])))
             indices.append(j)
             armed = False
-    return times, [(indices[i], indices[i + 1]) for i in range(len(indices) - 1)]
+    periods = np.diff(np.array(times))
+    heights = np.array([float(np.ptp(window.pv[a:b])) / 2 for a, b in pairwise(indices)])
+    whole = heights > 2 * CLEAR_MOVE_STDS * noise_sigma(window.pv)  # a swing in the noise shows no period any more
+    last = len(whole) if np.all(whole) else int(np.argmin(whole))
+    periods, heights = periods[:last], heights[:last]
+    if last < FEWEST_PERIODS:
+        raise ValueError(
+            f"pv oscillates for {last} periods beyond its noise, and {FEWEST_PERIODS} are needed: record "
+            "longer, or raise the gain"
+        )
+    decay = float((heights[-1] / heights[0]) ** (1 / (len(heights) - 1)))
+    return Swing(float(np.mean(periods)), float(np.std(periods)), float(np.mean(heights)), decay, len(periods))

@@ -71,25 +71,19 @@ def frames(found: Examination) -> None:
         "a remote frame": can.Message(arbitration_id=id_, is_extended_id=False, is_remote_frame=True, dlc=4),
         "an unknown command": sealed(talk.node, 0, b"\x00"),
     }.items():
-        _refused(found, name, message)
+        talk.look()
+        before, latest = talk.known.refused, talk.known.latest
+        found.expect(f"{name} is answered by", _told(talk.raw(message)), [])
+        talk.look()
+        extended = message.is_extended_id or message.is_remote_frame  # a filter may keep them from the firmware
+        counts = {(before + 1) % 256} | ({before} if extended else set())
+        found.holds(f"{name}: the count of refused frames in STATUS did not grow by one", talk.known.refused in counts)
+        found.expect(f"{name}: newest number seen", talk.known.latest, latest)
     talk.look()
     before = talk.known.refused
     found.expect("READ to another node", _told(talk.raw(sealed(talk.node % 63 + 1, READ, b"\x03\x05\x00"))), [])
     talk.look()
     found.expect("frames counted as refused after one to another node", talk.known.refused, before)
-
-
-def _refused(found: Examination, name: str, message: can.Message) -> None:
-    """A frame that must only be counted."""
-    talk = found.talk
-    talk.look()
-    before, latest = talk.known.refused, talk.known.latest
-    found.expect(f"{name} is answered by", _told(talk.raw(message)), [])
-    talk.look()
-    extended = message.is_extended_id or message.is_remote_frame  # a filter may keep them from the firmware
-    counts = {(before + 1) % 256} | ({before} if extended else set())
-    found.holds(f"{name}: the count of refused frames in STATUS did not grow by one", talk.known.refused in counts)
-    found.expect(f"{name}: newest number seen", talk.known.latest, latest)
 
 
 def _told(frames_: list[wire.Frame]) -> list[str]:

@@ -134,13 +134,14 @@ def form_from_toml(path: Path) -> RecordForm:
     for name, value in given.items():
         if name not in known:
             raise RecordingError(f"{path}: [record] {name}: no such key; there is {', '.join(known)}")
-        if not _fits(name, value):
-            if not isinstance(value, dict):
-                wrong = f"{name} = {value!r}"
-            else:
-                key, entry = next((key, entry) for key, entry in value.items() if not isinstance(entry, str))
-                wrong = f'{name} "{key}" = {entry!r}'
-            raise RecordingError(f"{path}: [record] {wrong}: give {KINDS.get(name, 'text in quotes')}")
+        kind, told = KINDS.get(name, (str, "text in quotes"))
+        entries = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+        odd = next(((key, entry) for key, entry in entries if not isinstance(entry, str)), None)
+        if not isinstance(value, kind) or isinstance(value, bool) or odd is not None:
+            wrong = f"{name} = {value!r}"
+            if odd is not None and isinstance(value, dict):
+                wrong = f'{name} "{odd[0]}" = {odd[1]!r}'
+            raise RecordingError(f"{path}: [record] {wrong}: give {told}")
     try:
         given |= {name: tuple(given[name]) for name in ("bad", "dbc", "others") if name in given}
         return replace(RecordForm(), **given)
@@ -148,32 +149,18 @@ def form_from_toml(path: Path) -> RecordForm:
         raise RecordingError(f"{path}: [record] {error}") from error
 
 
-KINDS = MappingProxyType(
+KINDS: Mapping[str, tuple[type | tuple[type, ...], str]] = MappingProxyType(
     {
-        "columns": 'names by role as in { pv = "flow" }',
-        "words": 'roles by word as in { meas = "pv" }',
-        "signals": 'names as TAG.ROLE as in { "40FT17" = "FIC17.PV" }',
-        "sp": "a number",
-        "dt_s": "a number in seconds",
-        "header": "the number of a line",
-        "bad": 'words as in ["Offline"]',
-        "dbc": 'files as in ["plant.dbc"]',
-        "others": 'names of columns as in ["FI104"]',
-        "scale": 'ranges by signal as in { pv = "4..20:0..200" }',
+        "columns": (dict, 'names by role as in { pv = "flow" }'),
+        "words": (dict, 'roles by word as in { meas = "pv" }'),
+        "signals": (dict, 'names as TAG.ROLE as in { "40FT17" = "FIC17.PV" }'),
+        "sp": ((int, float), "a number"),
+        "dt_s": ((int, float), "a number in seconds"),
+        "header": (int, "the number of a line"),
+        "bad": (list, 'words as in ["Offline"]'),
+        "dbc": (list, 'files as in ["plant.dbc"]'),
+        "others": (list, 'names of columns as in ["FI104"]'),
+        "scale": (dict, 'ranges by signal as in { pv = "4..20:0..200" }'),
     }
 )
-"""What a key of another kind than text takes."""
-
-
-def _fits(name: str, value: object) -> bool:
-    match name:
-        case "columns" | "scale" | "words" | "signals":
-            return isinstance(value, dict) and all(isinstance(v, str) for v in value.values())
-        case "sp" | "dt_s":
-            return isinstance(value, (int, float)) and not isinstance(value, bool)
-        case "header":
-            return isinstance(value, int) and not isinstance(value, bool)
-        case "bad" | "dbc" | "others":
-            return isinstance(value, list) and all(isinstance(v, str) for v in value)
-        case _:
-            return isinstance(value, str)
+"""What a key of another kind than text takes, and how that is said; entries are texts."""

@@ -58,24 +58,20 @@ def in_order(t_s: FloatArray, source: str) -> tuple[np.ndarray, FloatArray, list
     if len(back):
         places = places[np.argsort(t_s[places], kind="stable")]
         told.append(Assumption(f"{displaced} rows out of order: put in place"))
-    places, stamps, more = _distinct(places, t_s[places])
-    return places, stamps, told + more
-
-
-def _distinct(places: np.ndarray, stamps: FloatArray) -> tuple[np.ndarray, FloatArray, list[Assumption]]:
-    """The signal with every stamp once: several rows to each are spread over it, single repeats keep the last."""
+    # Every stamp once: several rows to each are spread over it, of single repeats the last is kept
+    stamps = t_s[places]
     unique, first, counts = np.unique(stamps, return_index=True, return_counts=True)
-    if len(unique) == len(stamps):
-        return places, stamps, []
-    usual = int(np.median(counts))
+    repeats, usual = len(stamps) - len(unique), int(np.median(counts))
+    if not repeats:
+        return places, stamps, told
     if usual < 2 or len(unique) < 2:
-        repeats = len(stamps) - len(unique)
-        return places[first + counts - 1], unique, [Assumption(f"{repeats} repeated stamps: the last row of each kept")]
+        told.append(Assumption(f"{repeats} repeated stamps: the last row of each kept"))
+        return places[first + counts - 1], unique, told
     width = float(np.median(np.diff(unique)))
     rank = np.arange(len(stamps)) - np.repeat(first, counts)
     rank[: counts[0]] += max(usual - int(counts[0]), 0)  # the first stamp may be cut: its last rows are there
     spread = np.repeat(unique, counts) + rank * width / np.maximum(np.repeat(counts, counts), usual)
-    return places, spread, [Assumption(f"{usual} rows to a stamp: spread evenly over {width:g} s")]
+    return places, spread, [*told, Assumption(f"{usual} rows to a stamp: spread evenly over {width:g} s")]
 
 
 def joined(pv: OneSignal, others: dict[str, OneSignal]) -> tuple[FloatArray, dict[str, FloatArray], list[Assumption]]:

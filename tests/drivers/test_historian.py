@@ -418,6 +418,7 @@ def test_what_was_assumed_can_be_fixed_by_its_own_words(tmp_path: Path, written:
         ("[other]\n", r"no section \[record\]"),
         ("[record]\nspan = 3\n", r"\[record\] span: no such key"),
         ('[record]\nsp = "50"\n', r"\[record\] sp = '50': give a number"),
+        ('[record]\nsp = { sp = "50" }\n', r"\[record\] sp = {'sp': '50'}: give a number"),
         ("[record]\ndt_s = -1\n", r"\[record\] dt_s = -1"),
         ('[record]\nzone = "Mars/Olympus"\n', "zone = 'Mars/Olympus': not known"),
         ('[record]\ndecimal = "x"\n', "decimal = 'x': give one of"),
