@@ -342,7 +342,13 @@ def _for_the_page(row: Row, folder: Path) -> Row:
     share = _number(row, "seen") / looked_at if looked_at and row.get("seen") else None
     told = {name: row[name] for name in ("master", "slaves", "swings_with", "root", "upsets") if row.get(name)}
     if is_fault(row) and _number(row, "place") <= MOST_FIRST:
-        told |= {"why": row.get("reason", ""), "look": _to_look_at(folder / "loops" / str(row["file"]))}
+        # the stretch that shows its cause most surely, out of its file, as a small picture; else its whole trend
+        text = (folder / "loops" / str(row["file"])).read_text(encoding="utf-8")
+        whole = json.loads(text.removeprefix("loop(").removesuffix(");\n"))
+        own = [part for part in whole.get("stretches") or [] if part["cause"] == whole["cause"]]
+        best = max(own, key=lambda part: float(part["confidence"]), default=whole)
+        look = smaller(best["trend"], SMALL) if best.get("trend") else None
+        told |= {"why": row.get("reason", ""), "look": look}
     # The cause, or the condition of a record in which no loop is at work
     condition = screen.get("condition")
     known = row["cause"] != str(Cause.UNKNOWN) or row.get("confidence") is None
@@ -358,14 +364,6 @@ def mean_error(row: Row) -> float | None:
     """The mean |sp - pv| of a loop in the unit of pv; None where it is not known."""
     a_day = (row.get("screen") or {}).get("iae_per_day")
     return a_day / DAY_S if a_day is not None else None
-
-
-def _to_look_at(path: Path) -> Mapping[str, list[float]] | None:
-    """The stretch that shows a loop's cause most surely, out of its file, as a small picture; else its whole trend."""
-    row = json.loads(path.read_text(encoding="utf-8").removeprefix("loop(").removesuffix(");\n"))
-    own = [part for part in row.get("stretches") or [] if part["cause"] == row["cause"]]
-    best = max(own, key=lambda part: float(part["confidence"]), default=row)
-    return smaller(best["trend"], SMALL) if best.get("trend") else None
 
 
 def _write_parquet(path: Path, rows: Sequence[Row]) -> None:
