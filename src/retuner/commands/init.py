@@ -87,7 +87,8 @@ def asked(file: Path) -> str:
     low = _ask("Range of pv, low end", 0.0, _number(-LARGE))
     high = _ask("Range of pv, high end", low + 100.0, _number(math.nextafter(low, LARGE)))
     sample_s = _ask("Sampling interval of the controller, s", 1.0, _number(1e-4, 3600.0))
-    kc = _ask(f"Gain Kc now, % of output per {unit} (negative: direct acting)", 1.0, _gain)
+    any_gain = _number(-math.inf, math.inf, but=0.0)
+    kc = _ask(f"Gain Kc now, % of output per {unit} (negative: direct acting)", 1.0, any_gain)
     tau_i = _ask("Integral time tau_I now, s (0: none)", 100.0, _number(0.0))
     gains = from_form(Form.SERIES, kc, tau_i or None, _ask("Derivative time tau_D now, s", 0.0, _number(0.0)))
     return _composed("by your answers", name, unit, (low, high), sample_s, gains, interface, channel, node)
@@ -110,30 +111,21 @@ def _ask(text: str, default: Answer, read: Callable[[str], Answer]) -> Answer:
             sys.stderr.write(f"  {error}\n")
 
 
-def _number(low: float, high: float = LARGE) -> Callable[[str], float]:
+def _number(low: float, high: float = LARGE, *, but: float | None = None) -> Callable[[str], float]:
     def read(text: str) -> float:
-        value = _finite(text)
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            raise ValueError("give a number")
+        if value == but:
+            raise ValueError(f"give a number other than {but:g}")
         if not low <= value <= high:
             raise ValueError(f"give a number from {low:g} to {high:g}")
         return value
 
     return read
-
-
-def _finite(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise ValueError("give a number")
-    return value
-
-
-def _gain(text: str) -> float:
-    if not (value := _finite(text)):
-        raise ValueError("give a number other than 0")
-    return value
 
 
 def _node(text: str) -> int:

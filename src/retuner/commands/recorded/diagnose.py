@@ -75,10 +75,7 @@ class DiagnosedRecord:
 def diagnose(options: DiagnoseOptions) -> int:
     """Diagnose and show; the exit status: 0, or 1 when no cause can be named.
 
-    Raises
-    ------
-    UserError, RecordingError
-        The file or an option cannot be used.
+    Raises UserError, RecordingError: the file or an option cannot be used.
     """
     gains = controller(options)
     # Refuse aims that are none, and one without its numbers

@@ -28,10 +28,7 @@ from retuner.verbosity import busy
 def identify(options: IdentifyOptions) -> int:
     """Identify and show; the exit status: 0, or 1 when the record does not say enough.
 
-    Raises
-    ------
-    UserError, RecordingError
-        The file or an option cannot be used.
+    Raises UserError, RecordingError: the file or an option cannot be used.
     """
     gains = controller(options)
     read = read_loop(options)

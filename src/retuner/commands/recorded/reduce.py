@@ -15,10 +15,7 @@ GAIN_UNIT = {ProcessType.INTEGRATING: "/s", ProcessType.INTEGRATING_LAG: "/s", P
 def reduce(options: ReduceOptions) -> int:
     """Reduce and show; the exit status.
 
-    Raises
-    ------
-    UserError
-        An option is out of its range.
+    Raises UserError: an option is out of its range.
     """
     if options.leads not in set(Leads):
         raise UserError(f"--leads {options.leads}: give one of {', '.join(Leads)}")

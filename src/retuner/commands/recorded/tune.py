@@ -21,10 +21,7 @@ HEADINGS = ("rule", "kind", "form", "Kc", "tau_I", "tau_D", "tau_c", "Ms", "GM",
 def tune(options: TuneOptions) -> int:
     """Work out and show settings; the exit status: 0, or 1 when no loop that follows would be stable.
 
-    Raises
-    ------
-    UserError
-        An option is out of its range, or no rule has an answer for this process.
+    Raises UserError: an option is out of its range, or no rule has an answer for this process.
     """
     check_plot(options.plot)
     if options.type is None:
