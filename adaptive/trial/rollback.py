@@ -266,7 +266,8 @@ def _words(
     robust = max(found.ms_tried, found.ms_before) <= settings.harmless_ms
     if robust and not (found.unstable_tried or found.unstable_before):
         words += f"; both are robust (up to {settings.harmless_ms:g})"
-    if runs == ran.tried and (found.unstable_tried, found.ms_tried) > (found.unstable_before, found.ms_before):
+    worst_against = (found.unstable_tried, found.ms_tried) > (found.unstable_before, found.ms_before)
+    if cause in ROLLBACK_CAUSES and runs == ran.tried and worst_against:
         words += "; by how likely each is, the trial gains lose less"
     if found.something_else > SOMETHING_ELSE:
         words += f"; {found.something_else:.0%} chance that something else explains this"

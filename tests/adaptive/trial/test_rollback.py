@@ -206,6 +206,9 @@ def test_where_an_unlikely_model_speaks_against_the_set_that_stays_the_words_say
     back = rollback(E.WORSE, SetsThatRan(PidGains(1.0, 0.2), SETS["right"], swings=0.1), known, TrialSettings())
     assert back.stays
     assert "trial gains Ms at most 4.64, previous gains Ms at most 3.98; by how likely each is" in back.reason
+    robust = rollback(E.GAP, SetsThatRan(SETS["weak"], SETS["right"], swings=0.1), known, TrialSettings())
+    assert robust.stays
+    assert "lose less" not in robust.reason
 
 
 @pytest.mark.parametrize(("weight", "back"), [(0.02, True), (0.5, False)])
