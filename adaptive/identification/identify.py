@@ -410,7 +410,7 @@ def left_open(
     short = plain.theta_s
     if short < FEWEST_SAMPLES_IN_THETA * sample_time_s:
         wanted_s = short / WANTED_SAMPLES_IN_THETA
-        way = "A setpoint step would bound it"
+        way = "A clear setpoint step would bound it"
         if wanted_s > MOST_FASTER * sample_time_s:
             digit = 10.0 ** math.floor(math.log10(wanted_s))
             way = f"Export at {math.floor(wanted_s / digit) * digit:g} s or faster"

@@ -438,6 +438,11 @@ class CanLink(Closes):
         if self._log is not None and not self._log.write(message, received=received):
             self.faults.note(LinkFault.LOG)
 
+    def keep_log(self) -> None:
+        """Have on disk, from the next frame on, what the log holds: any thread may ask."""
+        if self._log is not None:
+            self._log.keep = True
+
     def _stop_log(self) -> None:
         """End the log; what cannot be written any more is lost."""
         if self._log is not None and not self._log.stop():

@@ -130,6 +130,7 @@ class BusLog:
         self._clock = clock
         self._part_bytes = most_bytes / 2
         self._full_parts = self._frames = 0
+        self.keep = False  # with the next frame all that was written goes to the disk
         self._writer: can.io.generic.MessageWriter | None = open_log(path)
 
     def write(self, message: can.Message, *, received: bool) -> bool:
@@ -142,6 +143,10 @@ class BusLog:
         try:
             self._writer.on_message_received(message)
             self._frames += 1
+            if self.keep and isinstance(self._writer, can.BLFWriter):  # which holds 128 kB of frames back
+                self.keep = False
+                self._writer.stop()
+                self._writer = can.BLFWriter(self._path, append=True)
             if self._frames % LOOK_EVERY:
                 return True
             # the newest part as its writer knows it: with what is not in the file yet

@@ -314,6 +314,21 @@ def test_without_a_limit_there_is_one_part(tmp_path: Path) -> None:
     assert len(list(read_frames(tmp_path / "bus.blf"))) == 20_000
 
 
+def test_what_a_log_is_to_keep_is_on_disk_before_it_ends(tmp_path: Path) -> None:
+    log, stamps = BusLog(tmp_path / "bus.blf", MonotonicClock()), []
+    for number in range(10):
+        log.keep = log.keep or number == 5
+        message = frame(number)
+        assert log.write(message, received=True)
+        stamps.append(message.timestamp)
+        if number == 7:
+            assert numbers(tmp_path / "bus.blf") == list(range(6))
+    assert log.stop()
+    read = list(read_frames(tmp_path / "bus.blf"))
+    assert [int.from_bytes(one.data, "big") for one in read] == list(range(10))
+    assert [one.timestamp for one in read] == pytest.approx(stamps, abs=1e-5)
+
+
 def test_other_files_are_no_parts(tmp_path: Path) -> None:
     for name in ("bus-0.blf", "bus-.blf", "bus-1.asc", "pretune-bus.blf", "bus-2.blf.tmp", "bus-12.blf", "bus-3.blf"):
         (tmp_path / name).touch()

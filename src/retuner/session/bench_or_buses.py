@@ -229,6 +229,11 @@ class LiveBuses(HostBuses):
             own = (devices[i] for i in bus.loops)
             reader.timers = [device.keep_lease for device in own if isinstance(device, CanDevice)]
 
+    def keep_logs(self) -> None:
+        """Have on disk the frames that a row of the ledger rests on: a process that is killed loses the others."""
+        for bus in self._read:
+            bus.link.link.keep_log()
+
     def wait_until(self, t_s: float) -> None:
         """Return when frames have come, or the clock has reached t_s."""
         for reader in self._readers:

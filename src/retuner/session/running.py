@@ -218,7 +218,8 @@ class Run:
         before: Path | None = None,
     ) -> None:
         self.config = SessionConfig((config,)) if isinstance(config, Config) else config
-        self.keep, self.mode, self.observer = keep, mode, observer or Observer()
+        self._keep, self.mode, self.observer = keep, mode, observer or Observer()
+        self._keep_logs: Callable[[], None] = lambda: None
         self._log = log
         self.session: Session | None = None
         self.stopped_plants: Sequence[str] = ()
@@ -228,6 +229,11 @@ class Run:
             with suppress(LedgerError):  # told by whoever wants to use it
                 known = rows_by_loop(believed_rows(before / LEDGER), self.config.names)
         self._loops = [_RunningLoop(one, self, folder, before, known.get(one.loop.name)) for one in self.config.loops]
+
+    def keep(self, kind: str, t_s: float, body: Mapping[str, object]) -> None:
+        """Record a row; see Recorder."""
+        self._keep(kind, t_s, body)
+        self._keep_logs()
 
     def ledger_failed(self, reason: str) -> None:
         """The ledger takes no more rows: every loop comes to its end."""
@@ -285,6 +291,7 @@ class Run:
             warm_up()  # entering a decision imports what making one does, and by then there are samples to take
             workers.wait_until_warm()
             session = self._begin(buses, [workers.decider(s) for s in deadlines_s], speed, remember=True)
+            self._keep_logs = buses.keep_logs
 
             def once() -> None:
                 with unstoppable():
