@@ -22,6 +22,7 @@ import numpy as np
 from retuner.adaptive.cause_odds.compared_records import FEWEST_RECORD_SAMPLES, compared, windows_of
 from retuner.adaptive.cause_odds.odds_settings import OddsSettings
 from retuner.adaptive.cause_odds.smoothed_record import with_smoothing
+from retuner.adaptive.cause_odds.swinging_process import bears, swinging_processes
 from retuner.adaptive.cause_odds.valve_evidence import shapes_of
 from retuner.adaptive.controller_settings.summed_law import rough_law
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
@@ -421,7 +422,7 @@ def _verdict(
     worth, none = None, "" if sure else UNKNOWN_GAINS
     by_loads = walk.moved < settings.moved
     if odds is not None and open_to_odds:
-        worth, none = _settings(causes, odds, by_loads, alone, settings)
+        worth, none = _settings(causes, odds, walk.record, by_loads, alone, settings)
     if by_fit and (told.tuning is not None or worth is None):
         return OddsFound(replace(told, diagnosis=replace(told.diagnosis, confidence=p, causes=shares)), odds)
     evidence = {name: value for name, value in told.diagnosis.evidence.items() if name not in OF_ONE_MODEL}
@@ -435,7 +436,7 @@ def _verdict(
             test = _next(causes, odds, walk, open_ones[0][0], limits, settings)
     if cause == Cause.NONLINEAR:
         evidence, test = evidence | {"gain_ratio": walk.along.ratio}, None
-    reason = _bends(walk.along) if cause == Cause.NONLINEAR else _reason(cause, odds, evidence, told)
+    reason = walk.along.sentence() if cause == Cause.NONLINEAR else _reason(cause, odds, evidence, told)
     reason = f"perhaps {reason}" if cause in WORDS and p < settings.due_odds else reason
     reason += not_brought_back(window) * (cause in {Cause.OK, Cause.SLUGGISH})
     overshoot = evidence.get("overshoot", 0.0)
@@ -491,12 +492,17 @@ IN_QUESTION = 0.05  # Odds of a valve from which it is asked for
 
 
 def _settings(
-    causes: Mapping[Cause, float], odds: TuningOdds, by_loads: bool, swings: bool, settings: OddsSettings
+    causes: Mapping[Cause, float],
+    odds: TuningOdds,
+    record: Prepared,
+    by_loads: bool,
+    swings: bool,
+    settings: OddsSettings,
 ) -> tuple[Worthwhile | None, str]:
     """Settings worth having, of those that the odds of the causes ask for; else why there are none.
 
     by_loads : the setpoint hardly moves. Loads alone may pass for the loop's own doing: more action then takes larger
-    odds, and less does where an oscillation lasts (swings).
+    odds, and less does where an oscillation lasts (swings). More must be robust on a process that swings by itself.
     """
     if next(iter(causes)) not in TUNING_CAUSES:
         return None, ""
@@ -505,10 +511,11 @@ def _settings(
     bends = causes.get(Cause.NONLINEAR, 0.0) > settings.nonlinear  # then more is too much elsewhere
     less, more, now = _less(causes), 0.0 if bends else causes.get(Cause.SLUGGISH, 0.0), odds.gains
     least, most = (settings.loads_odds if one else settings.due_odds for one in (swings, by_loads))
+    own_swing = swinging_processes(record, now.direction) if more >= most else []
 
     def asked(new: PidGains) -> bool:
         if abs(new.kp) >= abs(now.kp) and abs(new.ki) >= abs(now.ki):
-            return more >= most
+            return more >= most and bears(own_swing, new, odds.sample_time_s, settings.worth)
         # more gain under less integral action answers a sluggish loop as well; neither is then the likelier by itself
         return less >= least or less + more * (abs(new.kp) > abs(now.kp)) >= settings.loads_odds
 
@@ -516,7 +523,8 @@ def _settings(
     if found is not None:
         return found, ""
     if less >= least or more >= most:
-        return None, "none is better on enough of the processes that the record allows"
+        some = ", some of which swing by themselves" * any(p > settings.worth.bad_share for _, p in own_swing)
+        return None, f"none is better on enough of the processes that the record allows{some}"
     if bends:
         return None, "the process gain may change along pv"
     if by_loads:
@@ -573,16 +581,6 @@ def _follows(window: Window) -> dict[str, float]:
 
 MOST_LATE, LEAST_MOVED = 10, 1e-300
 """Share of a record, one in so many, by which a slave may be late; a led setpoint moves at least so much."""
-
-
-def _bends(along: GainAlongPv) -> str:
-    """The sentence of a gain that changes along pv, and what to do."""
-    at, other = (along.high, along.low) if along.ratio > 1.0 else (along.low, along.high)
-    times = max(along.ratio, 1.0 / along.ratio)
-    return (
-        f"the process gain changes along pv: about {times:.2g} times as large at {at:.4g} as at {other:.4g}; one set "
-        "of gains is too fast at one end or too slow at the other. Schedule them: retuner schedule RECORD --by pv"
-    )
 
 
 def _reason(cause: Cause, odds: TuningOdds | None, evidence: Mapping[str, float], told: RecordVerdict) -> str:

@@ -58,6 +58,16 @@ class GainAlongPv:
     low: float
     high: float
 
+    def sentence(self) -> str:
+        """That it changes, and what to do."""
+        at, other = (self.high, self.low) if self.ratio > 1.0 else (self.low, self.high)
+        times = max(self.ratio, 1.0 / self.ratio)
+        return (
+            f"the process gain changes along pv: about {times:.2g} times as large at {at:.4g} as at {other:.4g}; one "
+            "set of gains is too fast at one end or too slow at the other. "
+            "Schedule them: retuner schedule RECORD --by pv"
+        )
+
 
 def gain_along_pv(records: Sequence[Prepared], direction: int, weights: Sequence[float]) -> GainAlongPv:
     """Weigh a gain that changes along pv against one that does not, over all records and windows of a loop.

@@ -407,8 +407,9 @@ def test_a_record_in_which_no_slip_is_seen_speaks_a_little_against_those_of_anot
 def test_settings_go_the_way_that_the_odds_of_the_causes_ask_for(monkeypatch, causes, loads, new, given):
     gains = PidGains(*new)
     monkeypatch.setattr(odds, "worthwhile", lambda _, __, asked: gains if asked(gains) else None)
-    known = cast("Any", SimpleNamespace(gains=PidGains(1.0, 0.1)))
-    found, why = odds._settings(causes, known, *(loads or (False, False)), OddsSettings())
+    monkeypatch.setattr(odds, "swinging_processes", lambda *_: [])
+    known, record = cast("Any", SimpleNamespace(gains=PidGains(1.0, 0.1), sample_time_s=1.0)), cast("Any", None)
+    found, why = odds._settings(causes, known, record, *(loads or (False, False)), OddsSettings())
     assert (found is gains) is given
     assert bool(why) is not given
 

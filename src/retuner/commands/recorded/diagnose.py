@@ -319,11 +319,12 @@ def _process_lines(found: DiagnosedRecord) -> list[str]:
         return []
     known = estimate.log.std() if estimate is not None and not found.result.likely else {}
     std = {name: f" +- {in_full(float(f'{one:.2g}'))}" for name, one in known.items()}
-    numbers = (
+    numbers = [
         f"{name} {in_full(value)}{std.get(name, '')}{' s' if name != 'k' else ''}"
         for name, value in {"k": model.k, **model.times_s, "theta": model.theta_s}.items()
         if value
-    )
+    ]
+    numbers += [f"zeta {model.zeta:.3g}"] if model.zeta < 1 else []
     among = f", the most likely of {len(found.result.likely)}" if len(found.result.likely) > 1 else ""
     return [f"{'process':<{NAME}}{model.type}, {', '.join(numbers)}{among}"]
 
