@@ -17,7 +17,6 @@ from retuner.audit.catalogue import Task
 from retuner.audit.loop_row import AuditSettings, audit_task
 from retuner.cli import main
 from retuner.commands.recorded import schedule
-from retuner.commands.signatures import ScheduleOptions
 
 PLANT = Path(__file__).parent.parent / "data" / "plant"
 
@@ -82,7 +81,7 @@ def test_diagnose_identify_schedule_audit_and_the_retuner_say_one_cause_of_a_rec
     (row,) = audit_task(Task(("X",), (path,), separate=True), AuditSettings(4))
     main(["identify", str(path), "--json"])
     identified = json.loads(capsys.readouterr().out)
-    scheduled = schedule._other([window_of(path)], ScheduleOptions(files=[path]))
+    scheduled = schedule.no_cure_by_gains([window_of(path)], (None, None))
 
     assert online(window_of(path), known) == told.cause
     assert row["cause"] == told.cause

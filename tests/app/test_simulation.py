@@ -259,7 +259,7 @@ def test_what_is_no_result_is_refused() -> None:
 def test_three_lists_of_names_agree() -> None:
     tree = ast.parse(inspect.getsource(retuner))
     checked = next(node for node in tree.body if isinstance(node, ast.If))
-    typed = {alias.asname for node in checked.body if isinstance(node, ast.ImportFrom) for alias in node.names}
+    typed = {alias.name for node in checked.body if isinstance(node, ast.ImportFrom) for alias in node.names}
     assert typed == set(retuner.__all__) == set(retuner._HOME_OF)
     assert {*retuner.__all__, "__version__"} == set(dir(retuner))
     assert retuner.__version__.split(".")[0].isdigit()

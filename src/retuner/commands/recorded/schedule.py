@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from retuner.adaptive.diagnosis.cause import Cause
+from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.signals.sample import Window
 from retuner.commands.options import controller_units, tell
 from retuner.commands.recorded.other_cause import contradiction, diagnosed, other_cause
@@ -92,9 +92,7 @@ def schedule(options: ScheduleOptions) -> int:
     windows = [one.recording.window() for one in records]
     written = _written(found, windows, options)
     tell_assumed(assumed, options)
-    # what diagnose says of the records, where no gains cure it: a gain along pv is what a schedule is for
-    other = other_cause(diagnosed(windows, None, (options.co_min, options.co_max), cause_only=True).diagnosis)
-    other = None if other is None or other.cause in {Cause.NONLINEAR, Cause.UNKNOWN} else other
+    other = no_cure_by_gains(windows, (options.co_min, options.co_max))
     said = {"diagnosis": None if other is None else other.to_dict(), "assumed": [a.what for a in assumed]}
     lines = [*described(found), *contradiction(other), *(f"{path} written" for path in written)]
     tell(found.to_dict() | said | {"files": [str(p) for p in written]}, lines, as_json=options.as_json)
@@ -152,6 +150,12 @@ def _written(found: ScheduleDesign, windows: list[Window], options: ScheduleOpti
     except OSError as error:
         raise UserError(f"--out {folder}: cannot be written: {error.strerror}") from None
     return list(files)
+
+
+def no_cure_by_gains(windows: list[Window], co_limits: tuple[float | None, float | None]) -> Diagnosis | None:
+    """What diagnose says of the records, where no gains cure it: a gain along pv is what a schedule is for."""
+    told = other_cause(diagnosed(windows, None, co_limits, cause_only=True).diagnosis)
+    return None if told is None or told.cause in {Cause.NONLINEAR, Cause.UNKNOWN} else told
 
 
 def described(found: ScheduleDesign) -> list[str]:
