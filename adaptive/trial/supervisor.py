@@ -324,7 +324,8 @@ class TrialSupervisor:
         trial = self.of(at)
         if trial.phase == P.PAUSED and not (trial.cause == E.SATURATED and sample.limited):
             self._move(at, E.WATCHED, sample.t_s)
-        found, trial = self._watch(at, sample, band), self.of(at)
+        found = self._watch(at, sample, band)
+        trial = self.of(at)  # which watching may have moved
         if found is not None or trial.phase != P.TRIAL or not self._asks(at) or trial.prediction is None:
             return found
         # a trial that no response decides is a person's, where he has the next word

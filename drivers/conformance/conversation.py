@@ -196,10 +196,12 @@ class Conversation:
         # the CRC of a complete set that runs or is staged must be that of its gains
         complete = seen.end.complete and len(seen.items) == len(wire.Item)
         if page in {wire.Page.RUNNING, wire.Page.STAGED} and complete:
+            gains = None
             with suppress(ValueError):  # what no PID runs is shown as it is
-                crc = set_crc(self.node, self.known.epoch, seen.end.seq, PidGains(*seen.values))
-                wrong = seen.end.crc != page_crc(crc, asked)
-                self.spoilt += [f"the CRC of the {page.name.lower()} page"] * wrong
+                gains = PidGains(*seen.values)
+            crc = None if gains is None else set_crc(self.node, self.known.epoch, seen.end.seq, gains)
+            if crc is not None and seen.end.crc != page_crc(crc, asked):
+                self.spoilt.append(f"the CRC of the {page.name.lower()} page")
         return seen
 
     def token(self) -> int:

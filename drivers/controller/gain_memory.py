@@ -244,11 +244,11 @@ class GainPages:
             seq = content.seq
             values = dict(zip(wire.Item, (content.gains.kp, content.gains.ki, content.gains.kd), strict=True))
         complete = len(values) == len(wire.Item)
-        crc = 0
+        gains, crc = None, 0
         with suppress(ValueError):  # what PidGains refuses may be staged, but never run: it has CRC 0
-            if complete:
-                gains = PidGains(*(values[item] for item in wire.Item))
-                crc = page_crc(set_crc(self._node, self._epoch, seq, gains), frame.token)
+            gains = PidGains(*(values[item] for item in wire.Item)) if complete else None
+        if gains is not None:
+            crc = page_crc(set_crc(self._node, self._epoch, seq, gains), frame.token)
         items = [wire.PageItem(page, item, token, value, seq) for item, value in values.items()]
         return [*items, wire.PageEnd(page, int(complete), token, seq, crc)]
 

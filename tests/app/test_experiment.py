@@ -368,6 +368,14 @@ def test_a_set_outside_the_box_is_refused_by_the_controller_and_told(connected: 
     assert bench.device.running.gains == base
 
 
+def test_a_set_that_runs_under_a_later_number_is_written(connected, monkeypatch):
+    (bench, base), kept = connected, Kept()
+    begin = bench.device.begin_write  # a set is staged again, with the next number, where its lease ran out meanwhile
+    monkeypatch.setattr(bench.device, "begin_write", lambda gains, now_s: begin(gains, now_s) - 1)
+    assert write_settings(bench, 0.1, kept, PidGains(5.0, 1.0), base) == ""
+    assert kept == ["intent", "committed"]
+
+
 def test_ctrl_c_during_a_write_is_heard_after_its_end(connected: tuple[Bench, PidGains]) -> None:
     (bench, base), kept = connected, Kept()
     turns = iter(range(1000))

@@ -1,4 +1,7 @@
-"""retuner doctor: what works on this machine, and what to do about the rest."""
+"""retuner doctor: what works on this machine, and what to do about the rest. Each check does the thing itself.
+
+No frame is sent on a bus that a controller may hang on: SocketCAN interfaces are opened, listened to and closed.
+"""
 
 import json
 import logging
@@ -191,6 +194,7 @@ def _multicast() -> MachineFinding:
 
 
 def _socketcan() -> Iterator[MachineFinding]:
+    """Every CAN interface of the kernel, by listening only."""
     from retuner.drivers.bus.bus_opening import SOCKETCAN, open_bus
     from retuner.drivers.device import DeviceError
 

@@ -127,7 +127,7 @@ def write_settings(bench: Bench, sample_time_s: float, record: Recorder, gains: 
     def written() -> str:
         # until the controller answers: what is meant is recorded, then begun
         poll()
-        until_s, seq = now_s + patience_s, -1
+        until_s = now_s + patience_s
         while now_s < until_s:
             running = device.running
             if device.connected and running is not None and not device.writing:
@@ -140,20 +140,20 @@ def write_settings(bench: Bench, sample_time_s: float, record: Recorder, gains: 
         what = {"gains": gains_dict(gains), "base": running.seq, "before": gains_dict(base)}
         record("intent", now_s, {"why": "experiment", **what})
         try:
-            seq = device.begin_write(gains, now_s)
+            device.begin_write(gains, now_s)
         except WriteRefusedError as refusal:
             return str(refusal)
-        # until the set has been read back as running, and has been watched for a while
+        # until the set is read back as running, with a later number where a lease ran out, and was watched for a while
         until_s, runs = now_s + patience_s, False
         while now_s < until_s:
             for event in poll():
                 match event:
-                    case WriteFailed() if event.seq == seq:
+                    case WriteFailed():
                         return event.reason
                     case Reverted():
                         return "the controller returned to its confirmed gains"
-                    case WriteDone() if event.seq == seq:
-                        read_back = {"sequence": seq, "gains": gains_dict(event.gains), "crc": event.running.crc}
+                    case WriteDone():
+                        read_back = {"sequence": event.seq, "gains": gains_dict(event.gains), "crc": event.running.crc}
                         record("committed", now_s, {"why": "experiment", **read_back})
                         until_s, runs = now_s + CONFIRM_SAMPLES * sample_time_s, True
         return "" if runs else "the controller does not answer; which set runs is not known"

@@ -216,8 +216,11 @@ class OrderBox:
         self._changed = changed
         # what lies there and is not half written; subfolders are where the taken ones are
         names, put_away = list[str](), self._done | {TAKEN, REFUSED}
-        with contextlib.suppress(OSError), os.scandir(self._text) as entries:
-            names = sorted(one.name for one in entries if not one.name.startswith(".") and one.name not in put_away)
+        with contextlib.suppress(OSError), os.scandir(self._text) as entries:  # where it fails midway, those it gave
+            for one in entries:
+                if not one.name.startswith(".") and one.name not in put_away:
+                    names.append(one.name)
+        names.sort()
         self._more = len(names) > MOST_AT_ONCE
         taken = []
         for name in names[:MOST_AT_ONCE]:

@@ -55,13 +55,14 @@ def schedule(options: ScheduleOptions) -> int:
         require_setpoint(one.recording)
         require_excitation(one.recording)
         require_length(one.recording)
-    active: GainTable | RecordedGains | None = None
-    if gain_columns:
-        columns = [np.concatenate([one.others[name] for one in records]) for name in gain_columns]
-        active = RecordedGains(columns[0], columns[1], columns[2] if len(columns) > 2 else np.zeros(len(columns[0])))
-    elif options.gains is not None:
-        active = _in_force(options.gains)
     with user_input("retuner schedule"):
+        active: GainTable | RecordedGains | None = None
+        if gain_columns:
+            columns = [np.concatenate([one.others[name] for one in records]) for name in gain_columns]
+            kd = columns[2] if len(columns) > 2 else np.zeros(len(columns[0]))
+            active = RecordedGains(columns[0], columns[1], kd)
+        elif options.gains is not None:
+            active = _in_force(options.gains)
         # progress on the error stream, a line every PATIENCE_S at the most and none before that
         told = [time.monotonic()]
 
