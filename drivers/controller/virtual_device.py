@@ -50,19 +50,22 @@ class LeaseDesk:
 
     def request(self, frame: wire.Lease, epoch: int, sample: int) -> wire.Ack:
         """Take, prolong or give back, in this epoch and sample; latest of the answer is the owner in force."""
-        reason, last = wire.Reason.OK, self._last
-        again = last is None or last.owner != frame.owner or frame == last
-        if frame.stamp not in {lease_stamp(epoch, sample), lease_stamp(epoch, max(sample - STAMP_SAMPLES, 0))}:
-            reason = wire.Reason.STALE
-        elif self.owner not in {NOBODY, frame.owner}:
-            reason = wire.Reason.NOT_OWNER
-        elif last is not None and not again and not wire.newer(frame.counter, last.counter, COUNTER_BITS):
-            reason = wire.Reason.STALE
+        reason = self._judge(frame, epoch, sample)
         if reason is wire.Reason.OK and frame != self._last:
             self._last = frame
             self._left = min(frame.samples, self._longest)
             self.owner = frame.owner if self._left else NOBODY
         return wire.Ack(wire.Kind.LEASE, frame.owner, reason, self.owner)
+
+    def _judge(self, frame: wire.Lease, epoch: int, sample: int) -> wire.Reason:
+        if frame.stamp not in {lease_stamp(epoch, sample), lease_stamp(epoch, max(sample - STAMP_SAMPLES, 0))}:
+            return wire.Reason.STALE
+        if self.owner not in {NOBODY, frame.owner}:
+            return wire.Reason.NOT_OWNER
+        last = self._last
+        if last is None or last.owner != frame.owner or frame == last:
+            return wire.Reason.OK
+        return wire.Reason.OK if wire.newer(frame.counter, last.counter, COUNTER_BITS) else wire.Reason.STALE
 
     def tick(self) -> bool:
         """One controller sample has passed; whether the lease has just run out."""

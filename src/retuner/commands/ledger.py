@@ -96,7 +96,8 @@ def _selected(rows: list[Row], options: ShowOptions) -> list[Row]:
         on_trial = inside if row.kind == "trial" else on_trial
         ends_trial = str(row.body.get("code", "")).startswith(ABOUT_A_TRIAL)
         came_of_it = row.kind in {"judged", "restore", "restored"} or (row.kind == "decision" and ends_trial)
-        about += [row] if inside or (on_trial and came_of_it) else []
+        if inside or (on_trial and came_of_it):
+            about.append(row)
     if region is None:
         raise UserError(f"--decision {options.decision}: the ledger has no such decision")
     return about

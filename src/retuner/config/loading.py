@@ -370,7 +370,7 @@ def with_signals(session: SessionConfig, text: str, *, bus: bool = False) -> Ses
 
     Raises UnusableError: with everything that is not there.
     """
-    looks = (signal_problems, device_problems, bus_problems)[: 3 if bus else 2]
+    looks = (signal_problems, device_problems, *((bus_problems,) if bus else ()))
     found = [(i, problem) for i, config in enumerate(session.loops) for look in looks for problem in look(config)]
     lines = toml_lines(text) if found else {}
     _refuse_findings([_placed(problem, lines, i if session.several else None) for i, problem in found])

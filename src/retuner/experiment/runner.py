@@ -278,6 +278,7 @@ class ExperimentRunner:
                     self._move(Happening.VERIFIED)
 
     def _wait_for_rest(self, sample: LoopSample) -> None:
+        """Watch until pv rests; what is seen then is the state to come back to."""
         running = self.device.running
         if running is None:
             return

@@ -322,6 +322,7 @@ class GainWriter:
                 )
 
     def _wanted(self, running: PidGains) -> WantedSet | None:
+        """What should be written now, if anything: a decision for the region in force first, then the schedule."""
         region = self.retuner.region
         if region is None:
             return None
