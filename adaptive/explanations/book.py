@@ -260,10 +260,11 @@ def update(
     swings : it goes from limit to limit of the output, so it says nothing: that is one frequency, again and again,
     which a process that runs away explains as well as the loop's own.
     """
+    last_s, share, tone_s = float(window.t_s[-1]), 0.0, book.tone_s
+    window = window.on_even_clock()  # as many rows for the tone and the setpoint as for pv and co
     n = max(round(book.dt_s / window.sample_time_s), 1)
     if len(window.t_s) < n:
         return book
-    last_s, share, tone_s = float(window.t_s[-1]), 0.0, book.tone_s
     record, known = Prepared.at(window, book.dt_s), faded(book, last_s, hazard_s)
     record = replace(record, resolution=max(record.resolution, MODEL_ERROR * float(np.ptp(record.pv))))
     levels, of_orders, moves = known.whole, known.orders_before, np.ptp(record.pv) > 0 and np.ptp(record.co) > 0
@@ -357,6 +358,7 @@ def with_response(book: Book, window: Window, estimate: ModelEstimate) -> Book:
 
     Where a load wanders, nothing is added; where steps explain the response better, the fit tells the process.
     """
+    window = window.on_even_clock()
     record, n = Prepared.at(window, book.dt_s), len(window.pv)
     if len(record.pv) < FEWEST_ROWS:
         return book

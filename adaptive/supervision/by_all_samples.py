@@ -299,11 +299,12 @@ def _likelier_by_steps(found: Findings, book: Book) -> bool:
     learned, record = found.learned, found.record
     if learned is None or record.crossed or found.joined or not (found.clear or is_known(found, learned)):
         return False
-    estimate, n, window = learned.estimate, len(record.window.pv), Prepared.at(record.window, book.dt_s)
+    estimate, whole = learned.estimate, record.window.on_even_clock()
+    n, window = len(whole.pv), Prepared.at(whole, book.dt_s)
     if len(window.pv) < FEWEST_ROWS:
         return True
-    left = (1.0 - estimate.explained) * float(np.var(record.window.pv)) * len(window.pv) / n
-    tone = tone_of(record.window, book.dt_s)
+    left = (1.0 - estimate.explained) * float(np.var(whole.pv)) * len(window.pv) / n
+    tone = tone_of(whole, book.dt_s)
     each, _ = log_likelihoods(window, book.direction, book.unit, tone.columns, tone.taken, EVERY_LAG)
     likelihood = each - np.array(tone.prices)[:, None, None, None] / TEMPER
     lead = lead_of_steps(left, len(estimate.load_times_s), n, window, likelihood)

@@ -293,6 +293,17 @@ def test_a_window_that_grows_is_weighed_once() -> None:
     assert grown == update(begun(), window)
 
 
+def test_a_window_of_which_samples_were_lost_tells_the_process_as_well() -> None:
+    """Each tenth sample is lost, and twenty in a row: the tone and the setpoint have the rows of pv and co."""
+    tight = scaled(2.6)
+    whole = recorded(tight, 3)
+    kept = np.flatnonzero((np.arange(len(whole.t_s)) % 10 != 3) & (np.abs(np.arange(len(whole.t_s)) - 500) > 10))
+    lost = Window(*(part[kept] for part in (whole.t_s, whole.sp, whole.pv, whole.co)))
+    book = update(begun(tight), lost)
+    assert book.t_s == lost.t_s[-1]
+    assert by_book(book, tight, SETTINGS).numbers.book_high > 0.8
+
+
 def test_what_stands_still_says_nothing() -> None:
     window, book = recorded(GOOD, 9, 200), begun()
     still = Window(window.t_s, window.sp, np.zeros(200), np.zeros(200))
