@@ -22,7 +22,7 @@ import numpy as np
 from retuner.adaptive.cause_odds.compared_records import FEWEST_RECORD_SAMPLES, compared, windows_of
 from retuner.adaptive.cause_odds.odds_settings import OddsSettings
 from retuner.adaptive.cause_odds.smoothed_record import with_smoothing
-from retuner.adaptive.cause_odds.swinging_process import bears, swinging_processes
+from retuner.adaptive.cause_odds.swinging_process import robust_on, swinging_processes
 from retuner.adaptive.cause_odds.valve_evidence import shapes_of
 from retuner.adaptive.controller_settings.summed_law import rough_law
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
@@ -515,7 +515,7 @@ def _settings(
 
     def asked(new: PidGains) -> bool:
         if abs(new.kp) >= abs(now.kp) and abs(new.ki) >= abs(now.ki):
-            return more >= most and bears(own_swing, new, odds.sample_time_s, settings.worth)
+            return more >= most and robust_on(own_swing, new, odds.sample_time_s, settings.worth)
         # more gain under less integral action answers a sluggish loop as well; neither is then the likelier by itself
         return less >= least or less + more * (abs(new.kp) > abs(now.kp)) >= settings.loads_odds
 

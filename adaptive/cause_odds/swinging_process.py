@@ -80,15 +80,17 @@ def _explained(
                 c = np.real(np.poly(roots[np.abs(roots) < 1.0]))
             white = filtered(rows, n, impulse_response(tuple(a.tolist()), tuple(c.tolist()), n))[:, STARTS:]
             with_pv, size = white[1:] @ white[0], np.maximum(np.sum(white[1:] ** 2, axis=1), np.finfo(np.float64).tiny)
-            left = float(white[0] @ white[0]) - np.where(with_pv * direction > 0, with_pv**2 / size, 0.0)
+            whole = float(white[0] @ white[0])
+            left = whole - np.where(with_pv * direction > 0, with_pv**2 / size, 0.0)
+            left = np.maximum(left, np.finfo(np.float64).eps * whole + np.finfo(np.float64).tiny)  # all is explained
             best = int(np.argmin(left))
             yield -(n - STARTS) / 2 * math.log(left[best]), DEAD[best], float(with_pv[best] / size[best])
 
 
-def bears(
+def robust_on(
     processes: list[tuple[ProcessModel, float]], gains: PidGains, sample_time_s: float, settings: WorthSettings
 ) -> bool:
-    """Whether gains are as robust on the likeliest of these processes as they must be on others."""
+    """Whether gains are as robust on each of these processes that counts as they must be on others."""
     return all(
         sensitivity_peak(model.seen_by_controller(sample_time_s).linear(), gains) <= settings.ms_bad
         for model, odds in processes

@@ -261,7 +261,7 @@ def update(
     which a process that runs away explains as well as the loop's own.
     """
     last_s, share, tone_s = float(window.t_s[-1]), 0.0, book.tone_s
-    window = window.on_even_clock()  # as many rows for the tone and the setpoint as for pv and co
+    window = window.on_even_clock()  # as many rows for the setpoint as for pv and co
     n = max(round(book.dt_s / window.sample_time_s), 1)
     if len(window.t_s) < n:
         return book

@@ -72,10 +72,10 @@ class BookSettings:
     restless: float = setting(0.3, "Share of samples outside the noise band from which a load wanders", "0.1..0.9")
     most: float = setting(0.7, "How much a change may save or cost on a process", "0.2..2.5", "ln 2: it is on trial")
     borne_out: float = setting(
-        2 / 3, "Odds of being better by loads alone, of less action", "0.5..0.9", "60 changes, seeds 9331 to 9361"
+        2 / 3, "Odds of being better that a change needs by loads alone", "0.5..0.9", "60 changes, seeds 9331 to 9361"
     )
     room: float = setting(1.8, "Times as much of all actions that a loop with room bears", "1.5..3")
-    room_odds: float = setting(0.7, "Odds of room from which loads alone ask for more action", "0.5..0.95")
+    room_odds: float = setting(0.7, "Odds of room from which loads alone ask for more", "0.5..0.95", "193 loops")
     cost: WorthSettings = field(default_factory=lambda: WorthSettings(ms_calm=1.68, unstable_share=0.02))
 
     def __post_init__(self) -> None:

@@ -57,6 +57,7 @@ class ToneColumns:
 
 def tone_of(window: Window, interval_s: float, known_s: float = 0.0) -> ToneColumns:
     """likeliest_tone of a window that is condensed to this interval. known_s : period in s of the window before."""
+    window = window.on_even_clock()  # as Prepared.at has it
     n = max(round(interval_s / window.sample_time_s), 1)
     return likeliest_tone(block_means(window.sp - window.pv, n), interval_s, known_s)
 

@@ -193,7 +193,6 @@ def valve_explains_more(window: Window, book: Book, odds: float) -> bool:
     """Whether a valve that sticks or has play explains all samples by more than these odds, ln, tempered as loads; what
     a tone from outside makes co do beside it is no valve's.
     """
-    window = window.on_even_clock()
     tone = tone_of(window, book.dt_s)
     return log_odds_of_valve([Prepared.at(window, book.dt_s)], book.direction, tone) > WEIGHT * odds
 

@@ -314,7 +314,7 @@ def _timed(
 
 
 def _hour_comes_twice(t_s: FloatArray) -> bool:
-    """Whether stamps of one signal go back once, by an hour less an interval, and on beyond where they were."""
+    """Whether stamps of one signal go back once, by half an hour to an hour, and on beyond where they were."""
     known = t_s[np.isfinite(t_s)]
     back = np.diff(known)[np.diff(known) < 0]
     return len(back) == 1 and bool(-HOUR_S <= back[0] <= -HOUR_S / 2) and bool(known[-1] > np.max(known[:-1]))

@@ -7,7 +7,7 @@ import pytest
 from pi_loop import Lag, Process, pi_loop
 
 from retuner import PidGains
-from retuner.adaptive.cause_odds.swinging_process import bears, swinging_processes
+from retuner.adaptive.cause_odds.swinging_process import robust_on, swinging_processes
 from retuner.adaptive.explanations.likely_processes import WorthSettings
 from retuner.adaptive.explanations.wandering_load import Prepared
 from retuner.adaptive.signals.sample import Window
@@ -44,7 +44,7 @@ def test_a_process_that_swings_by_itself_is_seen_and_gets_no_more_action_than_it
     model, odds = max(found, key=lambda one: one[1])
     assert odds > 1.0
     assert 1.0 / model.tau1_s == pytest.approx(0.15, rel=0.25)
-    assert not bears(found, PidGains(3 * GAINS.kp, 3 * GAINS.ki), 1.0, WorthSettings())
+    assert not robust_on(found, PidGains(3 * GAINS.kp, 3 * GAINS.ki), 1.0, WorthSettings())
     more = diagnose_windows([window]).recommended
     assert more is None or more.ki < 1.5 * GAINS.ki
 
